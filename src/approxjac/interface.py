@@ -122,6 +122,18 @@ class Condition(_Outcome):
     TOOL_CHANGED = "the weight at the tip changed: something was grasped, or dropped"
     NOT_EXPLAINED = "x differs from what was learnt by more than noise"
     MOTOR_WEAK = "a motor does not give the torque that it is asked for"
+    TOOL_SLIPPED = (
+        "the tool moved on its flange, or x sees another point of it: fasten it, and wait until it "
+        "is learnt again, or call relearn"
+    )
+    SENSOR_MOVED = (
+        "the camera or tracker that gives x was moved, or the base: targets in its axes moved "
+        "along; put it back, or wait until it is learnt again, or call relearn"
+    )
+    TOOL_OR_SENSOR_MOVED = (
+        "the tool slipped or the sensor of x was moved, which this motion does not tell apart: "
+        "look at both; then wait until it is learnt again, or call relearn"
+    )
 
 
 class Measurement(NamedTuple):

@@ -23,7 +23,7 @@ import approxjac as aj
 from approxjac.codegen.backends import numpy_function as by_numpy
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.numpy_function import numpy_function
-from approxjac.codegen.lanes import Box, Lanes
+from approxjac.codegen.lanes import Lanes
 from approxjac.codegen.trace.program import RECORDED, STEP, Block
 from approxjac.robots import Dynamics
 from approxjac.stability.rollouts.setting import RolloutSetting
@@ -47,7 +47,7 @@ def study(learns, **late):
     whole = RolloutSetting(law, errors, region, None, 1.0, DT, 1e-3, 0, **late)
     starts = [whole.start(index) for index in range(LANES)]
     begun = [each.lane_start(law) for each in starts]
-    return law, starts[0], begun, Box(region.center, region.lower, region.upper)
+    return law, starts[0], begun, region
 
 
 def in_lanes(engine, learns=False, integrator="semi_implicit_euler"):

@@ -17,7 +17,7 @@ from turns import table
 
 import approxjac as aj
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.lanes import Box, Lanes, LaneStart
+from approxjac.codegen.lanes import Lanes, LaneStart
 
 OFF = ["-std=c99", "-O2", "-ffp-contract=off"]
 
@@ -63,7 +63,7 @@ def in_lanes(errors, law):
     q = np.zeros(law.task.robot.nv)
     x = law.task.value(q)
     begun = [LaneStart.of(law, plant, q, x) for plant in plants]
-    box = Box(q, q - 1.0, q + 1.0)
+    box = aj.JointBox.around(law.task.robot, q, 1.0)
     start = time.process_time()
     lanes = Lanes(law, plants[0], begun, box, 1e-3, 100, 1e-3)
     traced = time.process_time()

@@ -21,7 +21,7 @@ def traced(robots, frames, regressor=None):
         for each in (("q", robot.nq), ("v", robot.nv), ("tau", robot.nv))
     )
     here = Arm(program.given, "arm", robot, frames, stacked(robots, frames)).at(q)
-    terms = {"M": here.M(), "g": here.gravity(), "bias": here.bias(v)}
+    terms = {"M": here.M(), "g": here.gravity(), "inverse": here.inverse(v, tau)}
     terms |= {"forward": here.forward(v, tau), "moved": moved(robot, q, v)}
     for frame in frames:
         R, p = here.frame(frame)
@@ -54,9 +54,9 @@ def expected(robot, frames, regressor, q, v, tau):
     """Return the same of Pinocchio at one q, v and tau."""
     dynamics, model = Dynamics(robot), robot.model
     terms = {"M": dynamics.M(q), "g": dynamics.g(q)}
-    terms["bias"] = dynamics.inverse(q, v, 0 * v)
+    terms["inverse"] = dynamics.inverse(q, v, tau)
     # Pinocchio's articulated bodies keep 11 digits only where masses differ much
-    terms["forward"] = np.linalg.solve(terms["M"], tau - terms["bias"])
+    terms["forward"] = np.linalg.solve(terms["M"], tau - dynamics.inverse(q, v, 0 * v))
     terms["moved"] = pin.integrate(model, q, v)
     for frame in frames:
         kinematics = FrameKinematics(robot, frame)

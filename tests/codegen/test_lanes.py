@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy_lanes import NumpyLanes
 
 import approxjac as aj
-from approxjac.codegen.lanes import OUTCOME, Box, Lanes
+from approxjac.codegen.lanes import OUTCOME, Lanes
 from approxjac.codegen.step import compiled
 from approxjac.controllers import CartesianSpeed, HeldMeasurement
 from approxjac.errors import MissingPackageError, UnknownNameError
@@ -134,8 +134,7 @@ def test_the_same_bits_in_numpy(name):
     loop = STUDIES[name]()
     region = loop[2]
     plant, starts = starts_of(loop, 16)
-    box = Box(region.center, region.lower, region.upper)
-    lanes = Lanes(loop[0], plant, starts, box, 1e-3, 250, 1e-3)
+    lanes = Lanes(loop[0], plant, starts, region, 1e-3, 250, 1e-3)
     found = [lanes.run(starts, 10)]
     lanes.compiled = NumpyLanes(lanes.program)
     found.append(lanes.run(starts, 10))

@@ -14,7 +14,7 @@ from numpy_lanes import NumpyLanes
 import approxjac as aj
 from approxjac.codegen import compiled
 from approxjac.codegen.backends.llvm import LlvmLanes
-from approxjac.codegen.lanes import OUTCOME, Box, Lanes
+from approxjac.codegen.lanes import OUTCOME, Lanes
 from approxjac.codegen.loop_program import TracedLoop
 from approxjac.codegen.trace.program import Program
 from approxjac.controllers import DifferentiatedVelocity
@@ -186,10 +186,9 @@ def test_the_same_bits_in_numpy():
         controller, errors, region, None, 0.3, 1e-3, 1e-3, 0, ALL["sensing"], 0.006
     )
     starts = [whole.start(index) for index in range(9)]
-    begun, box = [each.lane_start(controller) for each in starts], whole._box()
-    assert isinstance(box, Box)
+    begun = [each.lane_start(controller) for each in starts]
     engines = (NumpyLanes, LlvmLanes, lambda p: LlvmLanes(p, 2, "+sse2"))
-    lanes, found = Lanes(controller, starts[0].plant, begun, box, 1e-3, 300, 0.3), []
+    lanes, found = Lanes(controller, starts[0].plant, begun, region, 1e-3, 300, 0.3), []
     for engine in engines:
         lanes.compiled = engine(lanes.program)
         found.append(lanes.run(begun, 10))

@@ -64,6 +64,9 @@ STUDIES = {
     "three points, a lens": lambda: panda(camera=PINHOLE, points=SQUARE),
     "a point, learnt": lambda: panda(camera=PINHOLE, law=learns()),
     "measured depth": lambda: panda(camera=PINHOLE, depth="measured"),
+    "tilted and shifted": lambda: panda(
+        camera=PINHOLE, errors={"roll": (-0.2, 0.2), "tilt": (0.1, 0.1), "shift": (0.1, 0.0, 0.2)}
+    ),
     "a depth": lambda: panda(camera=PINHOLE, depth=1.0),
     "lost at times": lambda: panda(camera=NARROW, width=0.6, law=OVERSHOOTS),
     "lost at times, (5), learnt": lambda: panda(

@@ -13,7 +13,7 @@ from random_trees import random_tree
 
 import approxjac as aj
 from approxjac.codegen.arm.rigid_body import Arm, LearntBodies
-from approxjac.codegen.lanes import Box, Lanes, LaneStart
+from approxjac.codegen.lanes import Lanes, LaneStart
 from approxjac.codegen.step import compiled
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
@@ -95,11 +95,12 @@ def assert_same(ours, expected, tolerance=1e-10):
 # -- terms ----------------------------------------------------------------------------------------
 
 
-def learnt_terms(of, moving, linear):
+def learnt_terms(of, q, v, theta, theta_dot):
     """Return the terms of points and of an orientation that are learnt."""
+    moving = q, v, theta, theta_dot
     terms = {f"motion {name}": each for name, each in of.motion(*moving)._asdict().items()}
     terms |= {f"turn {name}": each for name, each in of.turn(*moving)._asdict().items()}
-    return terms | dict(zip(("Y", "o"), of.linear(*linear), strict=True))
+    return terms | dict(zip(("Y", "o"), of.linear(q, theta), strict=True))
 
 
 def traced_terms(robot, frames):
@@ -114,7 +115,7 @@ def traced_terms(robot, frames):
     )
     here = Arm(program.given, "arm", robot, points.frames).at(q)
     bodies = LearntBodies(here, v, v_r, a_r)
-    terms = dict(learnt_terms(here.points(points), (v, theta, theta_dot), (theta,)))
+    terms = dict(learnt_terms(points, q, v, theta, theta_dot))
     terms |= {"powers": bodies.powers(sigma), "torque": bodies.torque(a)}
     return program, {**terms, "gravity": bodies.gravity(a)}, points, links
 
@@ -129,7 +130,7 @@ def assert_terms(robot, frames, rng):
     q, v, v_r, a_r, sigma, a = (given[name][0] for name in ("q", "v", "v_r", "a_r", "sigma", "a"))
     moved = links.motion(q, v, v_r, a_r)
     theta, theta_dot = given["theta"][0], given["theta_dot"][0]
-    expected = learnt_terms(points, (q, v, theta, theta_dot), (q, theta))
+    expected = learnt_terms(points, q, v, theta, theta_dot)
     expected |= {"powers": moved.powers(sigma), "torque": moved.torque(a)}
     expected["gravity"] = moved.gravity(a)
     for name, value in expected.items():
@@ -383,7 +384,7 @@ def test_many_runs_at_once_are_those_of_simulate(two_link, unknown):
         LaneStart.of(law, plant, start, target, seed=k)
         for k, (plant, target) in enumerate(zip(plants, targets, strict=True))
     ]
-    region = Box(start, np.full(2, -9.0), np.full(2, 9.0))
+    region = aj.JointBox.around(two_link, start, 9.0)
     lanes = Lanes(law, plants[0], starts, region, DT, 400, 1e-3)
     found = lanes.run(starts, 400)
     assert not found["left"].any()

@@ -13,6 +13,7 @@ from scenarios import HOME, camera
 import approxjac as aj
 from approxjac.scenario import Scenario, build_scenario, run_scenario
 from approxjac.scenario import outcome as report
+from approxjac.scenario.judge import prepare
 
 WRONG = {"camera": {"roll": 0.3, "focal_factor": 1.3, "depth_factor": 1.5}}
 NEARLY = {"camera": {"roll": 0.05, "depth_factor": 1.1}}
@@ -285,3 +286,12 @@ def test_a_camera_that_is_turned_half_around_is_no_obstacle():
     done = made(believed=believed, controller=LEARNS, run={"seed": 1, "duration": 8.0})
     assert done.converged
     assert done.final_error["px"] < 0.5
+
+
+def test_a_report_is_of_a_camera_that_may_be_tilted_and_shifted():
+    ranges = {"tilt": (0.1, 0.05), "shift": (0.0, 0.02, 0.1), "around": HOME}
+    errors = prepare(camera(stability=ranges)).uncertainty
+    assert errors.names == ("camera tilt x", "camera tilt y", "camera shift y", "camera shift z")
+    assert_array_equal(errors.high, (0.1, 0.05, 0.02, 0.1))
+    with pytest.raises(aj.errors.InvalidInputError, match=r"stability\.tilt"):
+        prepare(Scenario("panda", stability={"tilt": (0.1, 0.1)}))

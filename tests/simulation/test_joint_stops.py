@@ -63,7 +63,7 @@ def test_over_a_step_of_any_length_stops_add_no_energy(name, seed, speed, dt):
     robot, stops, rng = ARMS[name], STOPS[name], np.random.default_rng(seed)
     q, free = near_limits(robot, rng), speed * rng.normal(size=robot.nv)
     M, M_inv = Dynamics(robot).M(q), Dynamics(robot).M_inv(q)
-    torque = stops.held_torque(q, free, M_inv, dt)
+    torque, _ = stops.held_torque(q, free, M_inv, dt)
     v = free + dt * M_inv @ torque
     depth, side = stops.depth(q)
     beyond = depth + dt * side * v  # at the end of the step

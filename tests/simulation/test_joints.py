@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
-from approxjac.codegen.lanes import Box, Lanes, LaneStart
+from approxjac.codegen.lanes import Lanes, LaneStart
 from approxjac.robots import Drives, Dynamics, Friction
 from approxjac.robots.drives import usual_inertia
 from approxjac.simulation import Computation, VelocityServo
@@ -383,21 +383,6 @@ def test_a_compiled_run_of_springs_at_a_stop_is_that_of_python(panda):
         assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-10)
 
 
-def test_a_compiled_cart_meets_its_stop_in_long_periods_as_in_python(rail):
-    """Of which the plant makes several steps: a stop pushes for one of these."""
-    plant, dt = aj.Plant(rail, aj.PositionTask(rail, axes="x"), drives=Drives(0.7, 900.0)), 7e-3
-    law = aj.SetpointController(plant.sensor, aj.Gains(400.0, 9.0, 2.0))
-    ours, theirs = (
-        aj.simulate(
-            plant, law, [5.6], [4.97], 90 * dt, dt=dt, computation=Computation(engine=engine)
-        )
-        for engine in ("python", "compiled")
-    )  # fmt: skip
-    assert list(ours.at_stops) == ["slide"]
-    for name in ("q", "v", "twist", "motor_v"):
-        assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-9)
-
-
 @pytest.mark.study
 @pytest.mark.parametrize(
     "kind",
@@ -421,7 +406,7 @@ def test_lanes_are_runs_of_python(panda, kind):
         LaneStart.of(law, plant, START, goal, seed)
         for seed, (plant, goal) in enumerate(zip(plants, goals, strict=True))
     ]
-    box = Box(START, -np.ones(7), np.ones(7))
+    box = aj.JointBox.around(panda, START, 1.0)
     found = Lanes(law, plants[0], starts, box, 1e-3, 800, 1e-3).run(starts, 100)
     options = Computation("semi_implicit_euler", "python")
     for seed, (plant, goal, error) in enumerate(zip(plants, goals, found["error"], strict=True)):

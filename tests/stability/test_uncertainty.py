@@ -225,6 +225,80 @@ def test_ranges_of_a_pinhole_camera(watched):
     assert_array_equal(watched.scaled(2.0).high, (0.4, 720.0, 0.8, 0.6))
 
 
+def rotated(vector):
+    """Rotation by a vector, after Rodrigues."""
+    angle = np.linalg.norm(vector)
+    K = np.cross(np.eye(3), np.asarray(vector) / max(angle, 1e-300))  # rows eᵢ × v
+    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
+
+
+def two_link_views(**errors):
+    """A camera that looks across the plane of a two-link arm, and a configuration."""
+    arm = aj.load_robot("two_link")
+    camera = aj.PinholeCamera.looking_at(
+        (0.9, 0.0, 0.5), (0.7, -3.0, 0.8), (500.0, 480.0), (640, 480)
+    )
+    return aj.Uncertainty(arm, camera=camera, **errors), np.array([0.4, -0.9])
+
+
+def two_link_tip(q):
+    return np.array([np.cos(q[0]) + np.cos(q.sum()), 0.0, np.sin(q[0]) + np.sin(q.sum())])
+
+
+def test_a_camera_is_tilted_and_shifted_as_a_pinhole_is():
+    """Its image of the tip, both in closed form: of a planar arm, and of a pinhole."""
+    given = {"focal_length": (400.0, 600.0), "distance": (-0.3, 0.3), "roll": (-2.0, 2.0)}
+    errors, q = two_link_views(tilt=(0.2, 0.1), shift=(0.1, 0.2, 0.3), **given)
+    assert errors.names[3:] == (
+        "camera tilt x", "camera tilt y", "camera shift x", "camera shift y", "camera shift z"
+    )  # fmt: skip
+    assert errors.units[3:] == ("rad", "rad", "m", "m", "m")
+    assert_array_equal(errors.high[3:], (0.2, 0.1, 0.1, 0.2, 0.3))
+    assert_array_equal(errors.low[3:], -errors.high[3:])
+    R, p = errors.camera.placement()
+    rng = np.random.default_rng(3)
+    for values in (errors.believed, *(errors.sample(rng) for _ in range(20)), *errors.corners(12)):
+        (f, back, roll), tilt, shift = values[:3], values[3:5], values[5:]
+        c, s = np.cos(roll), np.sin(roll)
+        turned = R @ rotated([*tilt, 0.0]) @ [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+        x, y, z = turned.T @ (two_link_tip(q) - p - R @ (shift - [0.0, 0.0, back]))
+        image = [319.5 + f * x / z, 239.5 + 0.96 * f * y / z]
+        shown = errors.plant(values).sensor.camera.seen(np.array(image))
+        assert_allclose(errors.plant(values).sensor.value(q), shown, rtol=1e-9)
+
+
+def test_images_move_with_a_camera_as_the_interaction_matrix_says():
+    """[u, v]' = L [velocity, rotation] of the camera, for small errors (Chaumette, Hutchinson)."""
+    errors, q = two_link_views(roll=(-0.1, 0.1), tilt=(0.1, 0.1), shift=(0.1, 0.1, 0.1))
+    R, p = errors.camera.placement()
+    X, Y, Z = R.T @ (two_link_tip(q) - p)
+    x, y, f = X / Z, Y / Z, np.array([500.0, 480.0])
+    L = np.array(
+        [
+            [-1.0 / Z, 0.0, x / Z, x * y, -(1.0 + x * x), y],
+            [0.0, -1.0 / Z, y / Z, 1.0 + y * y, -x * y, -x],
+        ]
+    )
+    order, h = [5, 3, 4, 0, 1, 2], 1e-6  # roll, tilts and shifts, of velocity and rotation
+    for i, column in enumerate(order):
+        ends = (errors.plant(s * h * np.eye(6)[i]).sensor.value(q) for s in (1.0, -1.0))
+        moved = np.subtract(*ends) / (2.0 * h)
+        assert_allclose(moved, f * L[:, column], rtol=1e-6, atol=1e-5)
+
+
+def test_a_tilt_that_is_certain_is_no_coordinate():
+    errors, _ = two_link_views(tilt=(0.0, 0.1), shift=(0.0, 0.0, 0.0))
+    assert errors.names == ("camera tilt y",)
+    assert errors.describe([0.1]) == "camera tilt y 0.1 rad (5.7 deg)"
+    assert errors.describe_box() == "camera tilt y -0.1 rad (-5.7 deg) to 0.1 rad (5.7 deg)"
+    assert_allclose(errors.scaled(3.0).high, [0.3])
+    assert_allclose(errors.largest_scale(100.0), np.pi / 0.1, rtol=1e-3)
+    with pytest.raises(InvalidInputError, match="tilt must be >= 0"):
+        two_link_views(tilt=(-0.1, 0.1))
+    with pytest.raises(UnknownNameError, match="'shift x' not in the calibration of PlanarCamera"):
+        aj.Uncertainty(ARM, camera=CAMERA, shift=(0.1, 0.0, 0.0))
+
+
 class Fixed(aj.cameras.Camera):
     """A camera in whose calibration only the roll may be wrong, or nothing."""
 

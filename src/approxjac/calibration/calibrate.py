@@ -12,7 +12,7 @@ import numpy as np
 
 from approxjac.calibration.fit import TRACKER, Fit, Fitted, Recorded, TipAccuracy
 from approxjac.calibration.recording import Recording
-from approxjac.controllers.arguments import chosen_deviations, chosen_kinds
+from approxjac.controllers.arguments import chosen_kinds
 from approxjac.errors import InvalidInputError, MissingPackageError, package_of
 from approxjac.formatting import aligned, plain
 from approxjac.law import rotation_log
@@ -176,9 +176,7 @@ def calibrate(
     arm: Robot,
     recordings: Sequence[Recording] | Recording,
     unknown: Sequence[str] = KINDS,
-    sd: Mapping[str, float] | None = None,
     apart: Mapping[tuple[str, str], float] | None = None,
-    frame: str | None = None,
 ) -> Calibration:
     """Return an arm calibrated by recordings: tool, joint origins, axes and encoders.
 
@@ -191,15 +189,11 @@ def calibrate(
         recordings: What was recorded of it.
         unknown: What may be wrong: "tool", "origins" and "axes", which are tilts of joint axes and
             offsets of encoders.
-        sd: Usual errors of a drawing: "tool" and "origins" [m], "axes" and "encoders" [rad]; by
-            default 0.2, 0.001, 0.003 and 0.015, as of five Pandas.
         apart: Distances between sockets that are known [m], by pairs of "place socket".
-        frame: The frame that was held or seen; by default the arm's tip.
 
     Raises:
         InvalidInputError: Recordings of other arms, fewer than ten different postures, or an
             unknown socket.
-        UnknownNameError: No such frame.
     """
     arm = require("arm", arm, Robot, "a Robot")
     given = [recordings] if isinstance(recordings, Recording) else [*recordings]
@@ -213,11 +207,19 @@ def calibrate(
             message += " beside free motions, which have torques and no x"
         raise InvalidInputError(message, given=recordings)
     kinds = chosen_kinds(unknown, KINDS)
-    used = {*kinds, *(("encoders",) if "axes" in kinds else ())}
-    regressor = KinematicRegressor(arm, frame, axes="axes" in kinds)
-    unknowns = Unknowns(regressor, kinds, chosen_deviations(sd, USUAL_SD, used))
+    regressor = KinematicRegressor(arm, axes="axes" in kinds)
+    unknowns = Unknowns(regressor, kinds, USUAL_SD)
     tool = Unknowns(regressor, ("tool",), {"tool": unknowns.sd[unknowns.is_tool].max(initial=0.2)})
-    lengths = _distances(apart or {}, samples)
+    require("apart", apart := apart or {}, Mapping, "a mapping from pairs of sockets to metres")
+    sockets = {*samples.frame} - {TRACKER}
+    if unseen := [name for pair in apart for name in pair if name not in sockets]:
+        there = ", ".join(sorted(sockets)) or "none"
+        message = f"apart must name sockets, {there}, got {', '.join(unseen)}"
+        raise InvalidInputError(message, given=apart)
+    lengths = {
+        pair: as_number("apart", each, unit="m", above=0.0, most=_LONGEST)
+        for pair, each in apart.items()
+    }
 
     fits = {scale: Fit(unknowns, samples, lengths, scale).solved() for scale in _SCALES}
     scale = max(fits, key=lambda each: fits[each].evidence)
@@ -320,22 +322,6 @@ def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamic
     small += ["payload"] * (abs(fit.payload) < 2.0 * fit.payload_sd)
     text = "torques are taken as true: motor constants may be off by 20 %"
     return fit, f"{text}; not distinguished from zero: {', '.join(small) or 'nothing'}"
-
-
-def _distances(
-    apart: Mapping[tuple[str, str], float], samples: Recorded
-) -> dict[tuple[str, str], float]:
-    sockets = {*samples.frame} - {TRACKER}
-    require("apart", apart, Mapping, "a mapping from pairs of sockets to metres")
-    for pair in apart:
-        if unseen := [name for name in pair if name not in sockets]:
-            known = ", ".join(sorted(sockets)) or "none"
-            message = f"apart must name sockets, {known}, got {', '.join(unseen)}"
-            raise InvalidInputError(message, given=apart)
-    return {
-        pair: as_number("apart", each, unit="m", above=0.0, most=_LONGEST)
-        for pair, each in apart.items()
-    }
 
 
 def _left_out(samples: Recorded) -> dict[str, Array]:

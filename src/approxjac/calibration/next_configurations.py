@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from approxjac.calibration.calibrate import KINDS, USUAL_SD, Calibration
-from approxjac.controllers.arguments import chosen_kinds
 from approxjac.errors import InvalidInputError
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import Unknowns
-from approxjac.validation import Array, as_integer, as_number, require
+from approxjac.validation import Array, as_integer, require
 
 _CANDIDATES = 1000
+_NOISE = 2e-4  # m, sd of a measured coordinate
 _ANYWHERE = 1.0  # m, sd of the place that is touched, or of the tracker's origin
 
 
@@ -20,9 +20,6 @@ def next_configurations(
     calibration: Calibration | None = None,
     count: int = 16,
     candidates: Sequence[Sequence[float]] | Array | None = None,
-    unknown: Sequence[str] = KINDS,
-    noise: float = 2e-4,
-    frame: str | None = None,
 ) -> Array:
     """Return the configurations that tell most about an arm, shape (count, nq) [rad or m].
 
@@ -32,22 +29,20 @@ def next_configurations(
 
     Args:
         arm: The arm as it is drawn.
-        calibration: What is known already, of the same arm, frame and kinds; by default nothing.
+        calibration: What is known already of it; by default nothing.
         count: How many.
         candidates: Configurations to choose from, (N, nq): those at which the tip can be held at
             one place, if it is. By default a thousand random ones within the joints' ranges.
-        unknown: What may be wrong, as for `calibrate`.
-        noise: Standard deviation of a measured coordinate [m].
-        frame: The frame that is held or seen; by default the arm's tip.
 
     Raises:
-        InvalidInputError: Too few candidates, or a calibration of other numbers.
+        InvalidInputError: Too few candidates, or a calibration of another arm.
     """
     arm = require("arm", arm, Robot, "a Robot")
-    count, noise = as_integer("count", count, 1), as_number("noise", noise, unit="m", above=0.0)
-    kinds = chosen_kinds(unknown, KINDS)
-    regressor = KinematicRegressor(arm, frame, axes="axes" in kinds)
-    unknowns = Unknowns(regressor, kinds, USUAL_SD)
+    count, kinds = (
+        as_integer("count", count, 1),
+        KINDS if calibration is None else calibration.kinds,
+    )
+    unknowns = Unknowns(KinematicRegressor(arm, axes="axes" in kinds), kinds, USUAL_SD)
     drawn = [*arm.configurations(_CANDIDATES)] if candidates is None else candidates
     rows = [arm.configuration(q) for q in drawn]
     if len(rows) < count:
@@ -56,7 +51,7 @@ def next_configurations(
     P, u, n = np.diag(unknowns.sd**2), unknowns.u, len(unknowns.u)
     if calibration is not None:
         if calibration.names != tuple(unknowns.names):
-            message = "calibration must be of this arm, its frame and the same kinds of numbers"
+            message = f"calibration must be of {arm.name}, got one of {calibration.robot.name}"
             raise InvalidInputError(message, given=calibration)
         P, u = calibration.covariance, calibration.learnt
     C = np.zeros((n + 3, n + 3))
@@ -64,11 +59,11 @@ def next_configurations(
     H = np.array([np.hstack([unknowns.at(q, u)[0], np.eye(3)]) for q in rows])
     chosen: list[int] = []
     for _ in range(count):
-        S = np.eye(3) + H @ C @ H.transpose(0, 2, 1) / noise**2
+        S = np.eye(3) + H @ C @ H.transpose(0, 2, 1) / _NOISE**2
         gains = np.linalg.slogdet(S)[1]
         gains[chosen] = -np.inf
         chosen.append(int(gains.argmax()))
         best = H[chosen[-1]]
         CH = C @ best.T
-        C = C - CH @ np.linalg.solve(best @ CH + noise**2 * np.eye(3), CH.T)
+        C = C - CH @ np.linalg.solve(best @ CH + _NOISE**2 * np.eye(3), CH.T)
     return np.array([rows[i] for i in chosen])

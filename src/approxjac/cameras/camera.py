@@ -151,6 +151,7 @@ class PlanarCamera(Camera):
 _UPRIGHT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 _ON_AN_EDGE = 17  # points of each edge of the image
 _NOWHERE = np.full(2, np.nan)
+_TILTS, _SHIFTS = ("tilt x", "tilt y"), ("shift x", "shift y", "shift z")
 _WITHIN = 0.999  # of a round image, in which a ray is surely shown
 
 
@@ -441,9 +442,15 @@ class PinholeCamera(Camera):
 
     @property
     def calibration(self) -> Mapping[str, tuple[float, str]]:
-        """f_x [px], the shift back along the optical axis [m], and the roll [rad]."""
-        f = float(self._f[0])
-        return {"focal_length": (f, "px"), "distance": (0.0, "m"), "roll": (0.0, "rad")}
+        """f_x [px]; shift back along the optical axis [m]; roll and tilts [rad]; shifts [m].
+
+        It is shifted along its axes right, down and forward, tilted by a rotation vector across its
+        optical axis, and then rolled about that.
+        """
+        turns, shifts = dict.fromkeys(("roll", *_TILTS), "rad"), dict.fromkeys(_SHIFTS, "m")
+        errors = {"distance": "m", **turns, **shifts}
+        first = {"focal_length": (float(self._f[0]), "px")}
+        return first | {name: (0.0, unit) for name, unit in errors.items()}
 
     @property
     def numbers(self) -> dict[str, Array]:
@@ -456,11 +463,13 @@ class PinholeCamera(Camera):
 
     def recalibrated(self, values: Mapping[str, float]) -> PinholeCamera:
         super().recalibrated(values)
-        back, roll = values.get("distance", 0.0), values.get("roll", 0.0)
+        back, roll, *moved = (values.get(n, 0.0) for n in ("distance", "roll", *_TILTS, *_SHIFTS))
         f = as_number("focal_length", values.get("focal_length", self._f[0]), unit="px", above=0.0)
-        return self.with_error(
-            shift=(0.0, 0.0, -back), rotation=(0.0, 0.0, roll), focal_factor=f / self._f[0]
-        )
+        turn = np.array([0.0, 0.0, roll])
+        if any(tilt := moved[:2]):
+            turn = pin.log3(pin.exp3(np.array([*tilt, 0.0])) @ pin.exp3(turn))
+        shift = np.array(moved[2:]) - [0.0, 0.0, back]
+        return self.with_error(shift=shift, rotation=turn, focal_factor=f / self._f[0])
 
     def __repr__(self) -> str:
         shown = [f"{self.size[0]} x {self.size[1]} px", f"f = {_short(self.focal_length)} px"]

@@ -96,8 +96,13 @@ class Lens:
             return np.zeros(2)
         scale = law.select(wanted > 0.0, self._length(wanted) / wanted, 0.0)
 
-        def nearer(_: int, ray: tuple[float, float]) -> tuple[float, float]:
-            return shortened(self.largest_radius, *self._newton(*ray, u, v))
+        def nearer(_: int, ray: tuple[float, float]) -> tuple[float, float]:  # Newton's step
+            x, y = ray
+            a, b, c, d = self._flat_slopes(x, y)
+            at_u, at_v = self._flat(x, y)
+            du, dv, determinant = at_u - u, at_v - v, a * d - b * c  # > 0 within the disc
+            x, y = x - (d * du - b * dv) / determinant, y - (a * dv - c * du) / determinant
+            return shortened(self.largest_radius, x, y)
 
         x, y = scale * u, scale * v
         if not self._is_round:
@@ -155,13 +160,6 @@ class Lens:
             b + crossed + of_v * x,
             d + 6.0 * p1 * y + 2.0 * p2 * x + of_v * y,
         )
-
-    def _newton(self, x: float, y: float, u: float, v: float) -> tuple[float, float]:
-        """Return a ray (x, y) after a step of Newton's towards the one that is shown at (u, v)."""
-        a, b, c, d = self._flat_slopes(x, y)
-        at_u, at_v = self._flat(x, y)
-        u, v, determinant = at_u - u, at_v - v, a * d - b * c  # > 0 within the disc
-        return x - (d * u - b * v) / determinant, y - (a * v - c * u) / determinant
 
     def _largest_radius(self) -> float:
         """Return the radius of the disc of rays on which the map is one to one.

@@ -21,19 +21,15 @@ def view(run: str, out: Path | None = None, title: str | None = None) -> int:
 
     if out is not None and not out.parent.is_dir():
         raise InvalidInputError(f"--out must be a file in an existing folder, got {out}", given=out)
-    path = _run_file(Path(run))
+    files = sorted(Path(run).glob("*.npz")) if Path(run).is_dir() else [Path(run)]
+    if len(files) != 1:
+        names = ", ".join(path.name for path in files) or "none"
+        message = f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}"
+        raise InvalidInputError(message, given=run)
+    (path,) = files
     beside = path.with_name(path.name.removesuffix(".npz") + ".html")
     page = save_page(Trajectory.load(path), out or beside, title)
     print(page)
     if out is None and not open_browser(page.resolve().as_uri()):
         print("No browser could be opened here: open it in yours")
     return 0
-
-
-def _run_file(run: Path) -> Path:
-    files = sorted(run.glob("*.npz")) if run.is_dir() else [run]
-    if len(files) != 1:
-        names = ", ".join(path.name for path in files) or "none"
-        message = f"RUN must be a file, or a folder with one run (.npz), got {run} with {names}"
-        raise InvalidInputError(message, given=run)
-    return files[0]

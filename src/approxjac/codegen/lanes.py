@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
-from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.llvm import LlvmLanes, packed, unpacked
 from approxjac.codegen.loop_program import TracedLoop
 from approxjac.codegen.sensors import TracedSensing
 from approxjac.codegen.trace.program import Block, Program
-from approxjac.codegen.trace.symbols import Condition, Number, Scalar, Symbols, select, symbols
+from approxjac.codegen.trace.symbols import Number, Scalar, Symbols, select
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.interface import Measurement, Target, TargetPath
-from approxjac.law.factors import Factors
-from approxjac.robots.robot import own_joints
 from approxjac.simulation import Plant
 from approxjac.simulation.transmission import Motors
-from approxjac.tasks import Task
 from approxjac.validation import Array
 
 _BLOCK = 256  # steps that are drawn at once: some 20 MB of 1024 runs
-_ROUND_OFF = 1e-12  # that `JointBox` leaves at its ends
 OUTCOME = "last_bad", "error", "torque", "speed", "outside", "diverged", "left"
 """Names of a run's outcome, a number each.
 
@@ -39,16 +32,6 @@ shares of a motor's limit and of a limit of speed; whether a configuration was o
 all these of steps that are recorded; whether numbers became too large; and whether the run is left
 to Python, as it came to what is not covered.
 """
-
-
-class Box(NamedTuple):
-    """Configurations between bounds, where a task may have to be regular."""
-
-    center: Array  # shape (nq,)
-    lower: Array  # smallest motion from it, shape (n_v,)
-    upper: Array  # largest motion from it, shape (n_v,); of continuous joints as far as `lower`
-    task: Task | None = None
-    sigma_min: float = 0.0  # smallest singular value that the task's Jacobian must have
 
 
 class LaneStart(NamedTuple):
@@ -99,7 +82,7 @@ class Lanes:
         controller: Controller,  # the law with its wrappers
         plant: Plant,  # a true robot, with its sensor and friction
         examples: Sequence[LaneStart],  # runs that differ in every number that may differ later
-        region: Box,  # region that runs should stay in
+        region: Any,  # region that runs should stay in, by its contains(q)
         dt: float,  # sampling time [s]
         steps: int,  # number of steps of a run
         tolerance: float,  # error below which a task counts as done
@@ -120,19 +103,17 @@ class Lanes:
             program, controller, plant, numbers, target, dt, integrator, given, sensing
         )
         self.frames = tuple(loop.truth.frames)  # that the sensor looks at
-        self._truth, before = loop.truth, {name: program.kept(name, 1)[0] for name in OUTCOME}
-        program.step(loop.after | {
-            "diverged": select(loop.diverged, 1.0, before["diverged"]),
-            "left": select(loop.left, 1.0, before["left"]),
-        })  # fmt: skip
+        self._truth, judged = loop.truth, [each for each in OUTCOME if each not in loop.after]
+        before = {name: program.kept(name, 1)[0] for name in judged}
+        program.step(loop.after)
         error = np.sqrt((loop.error * loop.error).sum())
-        is_outside = _outside(loop.q, plant, region)
+        is_inside = tasks.traced("region", region, lambda: region.contains(loop.q))
         program.record({
             "last_bad": select(error < tolerance, before["last_bad"], program.k),
             "error": error,
             "torque": _larger(before["torque"], loop.answer.torque / plant.motor_limits),
             "speed": _larger(before["speed"], loop.v / plant.robot.velocity_limits),
-            "outside": select(is_outside, 1.0, before["outside"]),
+            "outside": select(is_inside, before["outside"], 1.0),
         })  # fmt: skip
 
     @functools.cached_property
@@ -184,24 +165,6 @@ def _stacked(starts: Sequence[LaneStart]) -> tuple[ArmNumbers, dict[str, Array],
     if starts[0].gains.size:
         others["gains"] = np.array([start.gains for start in starts])
     return ArmNumbers.stacked([start.numbers for start in starts]), sensors, others
-
-
-def _outside(q: Symbols, plant: Plant, box: Box) -> Condition:
-    conditions: list[Condition] = []
-    for joint in own_joints(plant.robot.model).values():
-        at, low, high = joint.idx_q, box.lower[joint.idx_v], box.upper[joint.idx_v]
-        if joint.nq == 1:
-            motion = q[at] - box.center[at]
-            conditions += [motion < low - _ROUND_OFF, motion > high + _ROUND_OFF]
-        elif high + _ROUND_OFF < math.pi:
-            cosine, sine = box.center[at : at + 2]
-            conditions.append(q[at] * cosine + q[at + 1] * sine < math.cos(high + _ROUND_OFF))
-    if box.task is not None and box.sigma_min > 0.0:
-        J = tasks.jacobian(box.task, Arm.known(box.task.robot).at(q))
-        G = J @ J.T if J.shape[0] <= J.shape[1] else J.T @ J
-        pivots = Factors(G - np.multiply(box.sigma_min**2, np.eye(len(G)))).pivots
-        conditions += [pivot <= 0.0 for pivot in pivots]  # one is, where an eigenvalue is
-    return law.any_of(symbols(conditions))
 
 
 def _larger(known: Number, shares: Symbols) -> Number:

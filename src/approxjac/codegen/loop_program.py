@@ -2,12 +2,10 @@
 
 import hashlib
 import io
-import math
 import pickle
 import sys
 import uuid
 from collections.abc import Mapping
-from functools import partial
 from types import FunctionType
 from typing import Any
 
@@ -17,13 +15,12 @@ from approxjac import law
 from approxjac.codegen import traced_law as laws
 from approxjac.codegen.arm import traced_tasks as tasks
 from approxjac.codegen.arm.arm_numbers import ArmNumbers
-from approxjac.codegen.arm.rigid_body import Arm, moved
+from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.sensors import TracedSensing
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import (
     LARGEST_ANGLE,
     Condition,
-    Number,
     Scalar,
     Symbols,
     select,
@@ -32,8 +29,6 @@ from approxjac.codegen.trace.symbols import (
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, Measurement, Target
-from approxjac.law.factors import Factors
-from approxjac.robots.traced import motion_between
 from approxjac.simulation import Plant
 from approxjac.simulation.plant import INTEGRATORS
 from approxjac.simulation.transmission import Motors
@@ -63,16 +58,6 @@ def loop_key(*parts: Any) -> bytes:
     return hashlib.sha256(stream.getvalue()).digest()
 
 
-def _require_plain(plant: Plant) -> None:
-    more = (plant.servo, plant.torque_limits, plant.adds_gravity)
-    if type(plant) is not Plant or any(part is not None for part in more):
-        raise InvalidInputError(
-            "plant must be a Plant itself, without a servo, torque_limits and adds_gravity, to "
-            f"make code of it, got {plant!r}",
-            given=plant,
-        )
-
-
 class TracedLoop:
     """A step of a sampled loop.
 
@@ -87,9 +72,8 @@ class TracedLoop:
     x: Symbols  # what the sensor delivers, shape (n_x,)
     error: Symbols  # e, also where no sensor sees x, shape (m,)
     answer: Evaluation  # the law's
-    after: dict[str, Any]  # what is kept after the step
-    diverged: Condition  # numbers became too large
-    left: Condition  # the step is left to Python
+    # what is kept; "diverged" and "left" are 1 once numbers became too large, a step was Python's
+    after: dict[str, Any]
 
     def __init__(
         self,
@@ -105,8 +89,14 @@ class TracedLoop:
         # sensors and motors as they really are; None is ideal
         sensing: TracedSensing | None = None,
     ) -> None:
-        _require_plain(plant)
-        robot, self._plant, self._dt = plant.robot, plant, dt
+        more = (plant.servo, plant.torque_limits, plant.adds_gravity)
+        if type(plant) is not Plant or any(part is not None for part in more):
+            raise InvalidInputError(
+                "plant must be a Plant itself, without a servo, torque_limits and adds_gravity, to "
+                f"make code of it, got {plant!r}",
+                given=plant,
+            )
+        robot = plant.robot
         self.truth = Arm(program.given, "truth", robot, tasks.frames(plant.sensor), numbers)
         self.q = q = program.kept("q", robot.nq)
         self.v = v = program.kept("v", robot.nv)
@@ -116,12 +106,12 @@ class TracedLoop:
         rests = sensing is None or plant.is_exact  # the guard does, as nothing can be wrong
         first = controller.size if rests else controller.whole_size
         state = program.kept("state", first)
-        self._here = self.truth.at(q)
-        value = tasks.value(plant.sensor, self._here, sensor)
+        here = self.truth.at(q)
+        value = tasks.value(plant.sensor, here, sensor)
         self.x = x = tasks.seen(plant.sensor, value)
         self.error = tasks.error(plant.sensor, value, target.x)
         may_lose = tasks.may_lose(plant.sensor)
-        self.left = False
+        left: Condition = False
         if sensing is None:
             count = program.kept("count", 1)[0]
             measurement, kept = Measurement(count * dt, q, v, x, count * dt), {"count": count + 1.0}
@@ -129,129 +119,32 @@ class TracedLoop:
         else:
             truth = plant.encoded(Measurement(program.k * dt, q, v, x), self.motors)
             measurement, kept = sensing.measured(program, truth)
-            state, self.left = _initial_state(program, controller, state, measurement)
+            state, left = _initial_state(program, controller, state, measurement)
             may_lose = may_lose or sensing.may_lose
         program.graph.is_finite = not may_lose
         wanted = target.x if target.v is None else target
-        after, self.answer, unfinished = laws.stepped(controller, state, measurement, wanted, dt)
+        after, self.answer, _ = laws.stepped(controller, state, measurement, wanted, dt)
         program.graph.is_finite = False
         acting = self.answer.torque
         if sensing is not None:
             acting, late = sensing.acting(program, acting)
             kept |= late
-        if self.motors is None:
-            q_end, v_end, wrong = self._advanced(acting, integrator)
-        else:
-            q_end, v_end, motors, wrong = self._transmitted(acting)
-            kept |= motors._asdict()
+        with self.truth.standing_in(program.graph):
+            q_end, v_end, motors = plant.advance(
+                q, v, acting, dt, INTEGRATORS[integrator], self.motors
+            )
+        kept |= {} if motors is None else motors._asdict()
         changing = [
             b for a, b in zip(after, state, strict=True) if not program.graph.changes_rarely(a, b)
         ]
         parts = q_end, v_end, self.answer.torque, symbols(changing)
         squares = [(each * each).sum() for each in parts]
-        self.left = self.left | unfinished | wrong | (squares[0] > LARGEST_ANGLE**2)
-        self.diverged = ~(sum(squares, 0.0) < _FINITE)
+        left = left | program.graph.left | (squares[0] > LARGEST_ANGLE**2)
+        flags = {"diverged": ~(sum(squares, 0.0) < _FINITE), "left": left}
+        kept |= {
+            name: select(is_so, 1.0, program.kept(name, 1)[0]) for name, is_so in flags.items()
+        }
         self.after = {"q": q_end, "v": v_end, "state": after, **kept}
-
-    def _advanced(self, torque: Symbols, integrator: str) -> tuple[Symbols, Symbols, Condition]:
-        """Return q and v after the step, as `Plant.advance` does, and whether they are wrong."""
-        plant, dt = self._plant, self._dt
-
-        def acceleration(at: Symbols, v: Symbols, torque: Symbols) -> Symbols:
-            return self.truth.at(at).forward(v, torque - plant.friction_torque(v))
-
-        motion, begins = partial(moved, plant.robot), (self.q, self.v, torque, dt)
-        q_end, v_end = INTEGRATORS[integrator](acceleration, motion, *begins)
-        touched = self._touched(q_end)
-        if not isinstance(touched, Scalar):
-            return q_end, v_end, False
-
-        def stopped() -> tuple[Symbols, Symbols, Number]:
-            free = self.v + dt * acceleration(self.q, self.v, torque)
-            M_inv = self._here.factors.solve(symbols(np.eye(plant.robot.nv)))
-            push, wrong = self._stop_torque(self.q, free, M_inv, dt)
-            v_end = free + dt * (M_inv @ push)
-            return moved(plant.robot, self.q, dt * v_end), v_end, wrong
-
-        q_end, v_end, wrong = law.choose(touched, stopped, lambda: (q_end, v_end, 0.0))
-        return q_end, v_end, wrong > 0.0
-
-    def _transmitted(self, torque: Symbols) -> tuple[Symbols, Symbols, Motors, Condition]:
-        """Do as `_advanced` for joints that are not ideal; return the motors, too."""
-        q, v, motors, wrong = self.q, self.v, self.motors, 0.0
-        assert motors is not None
-        count, h = self._plant.substeps(self._dt)
-        for _ in range(count):
-            q, v, motors, missed = self._substep(q, v, motors, torque, h)
-            wrong = wrong + missed
-        return q, v, motors, wrong > 0.0
-
-    def _substep(
-        self, q: Symbols, v: Symbols, motors: Motors, torque: Symbols, h: float
-    ) -> tuple[Symbols, Symbols, Motors, Number]:
-        robot, transmission = self._plant.robot, self._plant.transmission
-        mid = moved(robot, q, 0.5 * h * v)
-        here = self.truth.at(mid)
-        terms = here.M(), here.bias(v + 0.5 * motors.change)
-        angle = motion_between(robot, robot.neutral(), q)
-        after = transmission.step(
-            v, motors, torque, h, terms, lambda A, b: Factors(A).solve(symbols(b)), angle
-        )
-        free = moved(robot, mid, 0.5 * h * after.v), after.v, after.motors.rate, 0.0
-
-        def stopped() -> tuple[Any, ...]:
-            push, wrong = self._stop_torque(q, after.v, after.M_inv, h)
-            end = transmission.pushed(after, h * push)
-            return moved(robot, q, h * end.v), end.v, end.motors.rate, wrong
-
-        touched = self._touched(free[0])
-        if isinstance(touched, Scalar):
-            free = law.choose(touched, stopped, lambda: free)
-        q_end, v_end, rate, wrong = free
-        return q_end, v_end, after.motors._replace(rate=rate, change=v_end - v), wrong
-
-    def _touched(self, q: Symbols) -> Condition:
-        if self._plant.stops is None:
-            return False
-        beyond = [
-            (value < low) | (value > high)
-            for value, (low, high) in zip(q.tolist(), self._plant.stops.ends, strict=True)
-            if math.isfinite(low) or math.isfinite(high)
-        ]
-        return law.any_of(symbols(beyond))
-
-    def _stop_torque(
-        self, q: Symbols, free: Symbols, M_inv: Symbols, dt: float
-    ) -> tuple[Symbols, Number]:
-        """Return the torque of the stops over a step, as `JointStops.held_torque` does.
-
-        Which joints press on their stops is found in a few guesses, each from the last one. The
-        second result is 1 where the last guess was wrong, else 0.
-        """
-        stops, nv = self._plant.stops, self._plant.robot.nv
-        assert stops is not None
-        depth, side, outward, slowed, per_speed = stops.contact(q, free, M_inv, dt)
-        b = stops.stiffness / per_speed * depth + outward
-        nothing = symbols(np.zeros(nv))
-
-        def guess(_: Any, values: tuple[Any, ...]) -> tuple[Any, ...]:
-            # left is what is left of b without its own push
-            push, left, touches, presses, _ = values
-            touches = touches | (depth + dt * (outward - slowed @ push) > 0.0)
-            presses = touches & np.where(presses, push > 0.0, left > 0.0)
-            A = np.where(presses[:, np.newaxis] & presses, slowed, 0.0)
-            A = A + np.diag(np.where(presses, 1.0 / per_speed, 1.0))
-            push = np.where(presses, Factors(A).solve(np.where(presses, b, 0.0)), 0.0)
-            left = b - slowed @ push
-            newly = ~touches & (depth + dt * (outward - slowed @ push) > 0.0)
-            wrong = law.any_of(
-                newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0))
-            )
-            return push, left, touches, presses, wrong
-
-        start = nothing, b, nothing < 0.0, nothing < 0.0, False
-        push, *_, wrong = law.repeat(_GUESSES, guess, start)
-        return -side * push, select(wrong, 1.0, 0.0)
 
 
 def _initial_state(

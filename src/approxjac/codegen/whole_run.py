@@ -13,7 +13,6 @@ from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.loop_program import TracedLoop, loop_key
 from approxjac.codegen.trace.program import Block, Program
-from approxjac.codegen.trace.symbols import select
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError
 from approxjac.interface import LimitStatus, Target
@@ -96,11 +95,7 @@ class _Loop:
         numbers = ArmNumbers.stacked([arm_numbers(plant.robot, tasks.frames(plant.sensor))])
         loop = TracedLoop(program, law, plant, numbers, target, dt, integrator)
         answer, unknown = loop.answer, np.zeros((plant.sensor.m, nv))
-        flags = {
-            name: (select(condition, 1.0, program.kept(name, 1)[0]))
-            for name, condition in (("diverged", loop.diverged), ("left", loop.left))
-        }
-        program.step(loop.after | flags | {
+        program.step(loop.after | {
             "x": loop.x, "torque": answer.torque, "e": answer.e,
             "J_hat": unknown if answer.J_hat is None else answer.J_hat, "status": answer.status,
             "limit_status": answer.limit_status, "slack": answer.slack,

@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.friction import FRICTION_SHARE
@@ -15,7 +14,6 @@ from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Friction, Robot
 from approxjac.robots.drives import usual_effort
 from approxjac.robots.dynamics import DynamicsRegressor
-from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_diagonal, as_limits, as_number, require
 
 _MASS = 0.03  # share of the arm's mass that a link's may be wrong by
@@ -59,11 +57,6 @@ class MotionDynamics(Immutable, ABC):
         self.rotor_inertia = as_diagonal(
             "rotor_inertia", rotor_inertia, robot.nv, unit="kg m^2 or kg", positive=False
         )
-        self._model = robot.model
-        self._data = self._model.createData()
-        self._weightless = pin.Model(self._model)
-        self._weightless.gravity.linear = np.zeros(3)
-        self._still = np.zeros(robot.nv)
         self._dynamics = Dynamics(robot)
 
     def initial_state(self) -> Array:
@@ -87,10 +80,7 @@ class MotionDynamics(Immutable, ABC):
 
     def momentum(self, q: Array, v: Array) -> Array:
         """Return M̂(q) v of the believed arm with its rotors, without learning; shape (n_v,)."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.momentum(v) + self.rotor_inertia * v)
-        p = pin.rnea(self._weightless, self._data, q, self._still, v)
-        return np.asarray(p + self.rotor_inertia * v)
+        return np.asanyarray(self.inertia(q).dot(v))
 
     def inertia(self, q: Array) -> Array:
         """Return M̂(q) of the believed arm with its rotors, without learning, (n_v, n_v)."""
@@ -124,15 +114,12 @@ class ModelDynamics(MotionDynamics):
         self, state: Array, q: Array, v: Array, v_r: Array, a_r: Array, learns: Any, dt: float
     ) -> tuple[Array, Array, Array]:
         """Return the unchanged state, and torques by two passes of RNEA; see `MotionDynamics`."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            motion = arm.reference_torque(v, v_r, a_r) + self.rotor_inertia * a_r
-            return state, motion, arm.gravity()
-        middle = pin.rnea(self._model, self._data, q, 0.5 * (v + v_r), a_r)
-        apart = pin.rnea(self._weightless, self._data, q, 0.5 * (v - v_r), self._still)
-        return state, middle + self.rotor_inertia * a_r - apart, self.gravity(state, q)
+        inverse, g = self._dynamics.inverse, self._dynamics.g(q)
+        middle, apart = inverse(q, 0.5 * (v + v_r), a_r), inverse(q, 0.5 * (v - v_r), 0.0 * a_r)
+        return state, middle - apart + g + self.rotor_inertia * a_r, g
 
     def gravity(self, state: Array, q: Array) -> Array:
-        return np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
+        return self._dynamics.g(q)
 
     def __repr__(self) -> str:
         return f"ModelDynamics({self.robot.name!r})"

@@ -328,6 +328,18 @@ class Controller(ABC):
         kinematics, known = self.kinematics_of(state)
         return kinematics.report(known)
 
+    def relearnt(self, state: Array) -> Array:
+        """Return a state that learns kinematics anew, about what it has and as unsure as at first.
+
+        Use it after the tool or the sensor was moved, with kinematics that do not restart by
+        themselves. Raises the errors of `kinematics_of`.
+        """
+        kinematics, known = self.kinematics_of(state)
+        _, where = self.kinematics_of(np.arange(float(self.size)))
+        state = state.copy()
+        state[where.astype(int)] = kinematics.relearnt(known)
+        return state
+
     def learnt_robot(self, state: Array) -> Robot:
         """Return the believed robot with the tool and joint origins that a state has learnt.
 

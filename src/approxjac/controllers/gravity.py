@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac import law
 from approxjac.controllers.gains.gains import Diagonals
 from approxjac.controllers.gains.tuning import Learning, slow_rate
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import listed, numbers_of, short
-from approxjac.robots import GravityRegressor, Robot
-from approxjac.robots.traced import arm_of
+from approxjac.robots import Dynamics, GravityRegressor, Robot
 from approxjac.tasks import Task
 from approxjac.validation import (
     Array,
@@ -40,17 +37,14 @@ class ModelGravity(Immutable):
 
     def __init__(self, robot: Robot) -> None:
         require("robot", robot, Robot, "the believed Robot")
-        self.robot, model = robot, robot.model
-        self._torque_at = partial(pin.computeGeneralizedGravity, model, model.createData())
+        self.robot, self._dynamics = robot, Dynamics(robot)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.robot.name!r})"
 
     def torque(self, q: Array) -> Array:
-        """Return g(q), shape (n_v,) [N m or N]; an alias of scratch memory."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.gravity())
-        return self._torque_at(q)
+        """Return g(q), shape (n_v,) [N m or N]."""
+        return self._dynamics.g(q)
 
 
 class NoGravity(ModelGravity):

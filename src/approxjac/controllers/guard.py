@@ -201,23 +201,20 @@ class SampleGuard:
             answer = answer._replace(torque=command, status=status)
         rest = 0.0 * command if gravity is None else gravity  # the arm's, before a first command
         before = law.select(is_first, rest, memory[self._command])
-        push = self._push_of(command, v, before).tolist()
+        if self._takes_torque:  # by how much |q̈| may change from one command to the next
+            push = self._reach @ np.minimum(np.abs(command - before), _MOST)
+        else:
+            push = np.minimum(np.abs(command - v) / _SERVO, _MOST)
         J_hat, sizes = answer.J_hat, None
         if J_hat is not None:
             if self._uncombined is not None:  # of what is measured
                 J_hat = self._uncombined.dot(J_hat)
             sizes = [law.length(J_hat[rows].ravel()) for _, rows in self._bounds.parts]
-        memory = checks.remembered(judgement, dt, command.tolist(), push, sizes).joined()
+        memory = checks.remembered(judgement, dt, command.tolist(), push.tolist(), sizes).joined()
         if not traced and not np.isfinite(memory).all() and np.isfinite(command).all():
             message = f"what is remembered of {measurement!r} overflows in a step of {dt!r} s"
             raise MeasurementError(message, given=measurement)
         return np.concatenate([after, memory]) if len(after) else memory, answer
-
-    def _push_of(self, command: Array, v: Array, before: Array) -> Array:
-        """Return by how much |q̈| may change from one command to the next, (n_v,)."""
-        if not self._takes_torque:
-            return np.minimum(np.abs(command - v) / _SERVO, _MOST)
-        return self._reach @ np.minimum(np.abs(command - before), _MOST)
 
 
 @functools.lru_cache(maxsize=32)

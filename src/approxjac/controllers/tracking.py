@@ -75,6 +75,8 @@ _LONGEST_LAG = 0.1  # [s]
 _RIGID = 1e9  # damping that is no bound [N m s/rad]
 _SOONEST = 0.1  # that a joint gets to its full speed in [s]
 _INSIDE, _FARTHEST = 0.03, 0.1  # share of a range that detours keep from its ends, at most
+_TEACHES, _SINES = 0.15, (0.3, 0.9)  # self-motion that teaches [rad/s or m/s], ω [rad/s]
+_APART = 2.4  # phases of joint after joint [rad]
 _UNTOLD = 1.0  # speed of a detour where there is no limit [rad/s or m/s]
 
 
@@ -87,7 +89,10 @@ class TrackingGains:
             commands 4, or less where motors with a lag do not allow its damping αM̂.
         kappa: κ, rate at which the joints follow their reference > 0 [1/s]. By default 60, or
             0.25/dt if that is less.
-        self_motion: k_n, rate of the self-motion [1/s].
+        self_motion: k_n, rate of the self-motion [1/s]; or "teach", for a redundant arm: besides
+            k_n = 1, the joints move at up to 0.15 rad/s while the target moves, to show learnt
+            kinematics more than the task does (`law.TeachingMotion`). It yields to stops, limits
+            of speed and singular postures.
         speed: Largest speed at which errors are reduced, a number or one for each coordinate, (m,)
             [unit of the task/s]. By default 0.5 m/s and 1 rad/s, for other units that of joint
             speeds of 0.5 rad/s.
@@ -99,7 +104,7 @@ class TrackingGains:
 
     alpha: float | None = None
     kappa: float | None = None
-    self_motion: float = 1.0
+    self_motion: float | Literal["teach"] = 1.0
     speed: float | Sequence[float] | Array | None = None
     detours: bool = False
 
@@ -108,7 +113,8 @@ class TrackingGains:
             as_number("alpha", self.alpha, unit="1/s", above=0.0)
         if self.kappa is not None:
             as_number("kappa", self.kappa, unit="1/s", above=0.0)
-        as_number("self_motion", self.self_motion, unit="1/s", minimum=0.0)
+        if self.self_motion != "teach":
+            as_number("self_motion", self.self_motion, unit="1/s", minimum=0.0)
         require("detours", self.detours, bool, "True or False")
 
 
@@ -210,7 +216,9 @@ class TrackingController(Immutable, Controller):
         self._require_parts()
         fast = _usual_speeds(task) if gains.speed is None else gains.speed
         self.speed = as_limits("speed", fast, task.m, unit="unit of the task/s")
-        self._rest = RestConfiguration(task, posture, gains.self_motion)
+        pull = TrackingGains.self_motion if gains.self_motion == "teach" else gains.self_motion
+        assert not isinstance(pull, str)
+        self._rest = RestConfiguration(task, posture, pull)
         limits = Limits.of(robot).for_joints(robot.nv)
         self.gain_values = {"alpha": self.alpha, "kappa": self.kappa}
         self._commands, self._added = None, np.zeros(robot.nv)
@@ -260,7 +268,14 @@ class TrackingController(Immutable, Controller):
                 message = f"detours are for torques and errors x - x_d, got {command} and {task!r}"
                 raise InvalidInputError(message, given=gains)
             self._detour = _detour(task, self._gains, dt)
-        self.n_state = self._ways + (0 if self._detour is None else self._detour.size)
+        self._taught = self._ways + (0 if self._detour is None else self._detour.size)
+        self._teaching: law.TeachingMotion | None = None
+        if gains.self_motion == "teach":
+            if not self.kinematics.names:
+                message = f"self_motion may teach kinematics that learn, got {self.kinematics!r}"
+                raise InvalidInputError(message, given=gains)
+            self._teaching = _teaching(task, self._gains, dt)
+        self.n_state = self._taught + (0 if self._teaching is None else 1 + robot.nv)
 
     def _raisable(
         self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
@@ -304,7 +319,7 @@ class TrackingController(Immutable, Controller):
         if self._commands is None:
             state[: self.resting] = self.dynamics.initial_state()
         else:
-            state[self._end :] = v
+            state[self._end : self._last] = v
         if self._raised is not None:
             state[self._end : self._last] = self._raised.watch.start(v)
         if self._eased is not None:
@@ -374,16 +389,22 @@ class TrackingController(Immutable, Controller):
             after[last:led], eased = self._eased.step(state[last:led], x, goal, rates.alpha, waits)
             aim = Target(*eased)
         w = None if self._slow is None else state[self._led + len(v) : self._ways]
+        besides: tuple[Array, Array] | None = None
+        if self._teaching is not None:
+            taught, motion = state[self._taught :], positions_at(self.task.robot, q)
+            J, rests = self.kinematics.predict(known, q, v, aim).J, waits | _rests(target)
+            after[self._taught :], n_dot = self._teaching.step(taught, J, motion, v, rests)
+            besides = taught[1:], n_dot
         J_hat, v_r, a_r, damped, is_known, w_dot, z = self._reference(
-            known, q, v, aim, waits, rates, w
+            known, q, v, aim, waits, rates, w, besides
         )
         if self._detour is not None:
-            moves = [each for each in target[1:] if each is not None]
-            rests = law.all_of(np.concatenate([np.zeros(1), *moves]) == 0.0)
             far = z + aim.x - target.x
-            stands = damped & rests & self._detour.stands(far, J_hat, v, rates.alpha)
-            way = state[self._ways :], stands
-            after[self._ways :], v_r, a_r = self._around(known, q, v, target.x, (v_r, a_r), *way)
+            stands = damped & _rests(target) & self._detour.stands(far, J_hat, v, rates.alpha)
+            ways = slice(self._ways, self._taught)
+            after[ways], v_r, a_r = self._around(
+                known, q, v, target.x, (v_r, a_r), state[ways], stands
+            )
         learns = is_known | waits
         self.kinematics.correct(after[p:end], measurement, dt)
         e = self.task.error(x, target.x)
@@ -391,9 +412,10 @@ class TrackingController(Immutable, Controller):
         status = law.select(damped, _SINGULAR, status)
         status = law.select(waits, _LOST, law.select(is_known, status, _UNPREDICTED))
         if self._commands is not None:
-            _, _, a_v, *_ = self._reference(known, q, v_r, target, waits)
-            lag, sent = self._commands.step(state[:1], q, v, v_r, a_v, state[end:])
-            after[:1], after[end:] = lag, sent
+            _, _, a_v, *_ = self._reference(known, q, v_r, target, waits, besides=besides)
+            sends = slice(end, self._last)
+            lag, sent = self._commands.step(state[:1], q, v, v_r, a_v, state[sends])
+            after[:1], after[sends] = lag, sent
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
         learnt: Any = {} if used.gamma is None else {"gamma": used.gamma}
         a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt, **learnt)
@@ -406,11 +428,11 @@ class TrackingController(Immutable, Controller):
             damped = law.bounded_damping(A, damped, most)
             if self._slow is not None and w_dot is not None:
                 phi, at = state[self._led :][: len(v)], self._led + len(v)
-                after[self._led : at], besides = self._slow.damping(phi, sigma, A, most)
+                after[self._led : at], slow = self._slow.damping(phi, sigma, A, most)
                 rests = slice(at, self._ways)
                 shifted = law.select(is_known, state[rests] + dt * w_dot, state[rests])
                 after[rests] = law.select(waits, 0.0 * shifted, shifted)
-                damped = damped + besides
+                damped = damped + slow
         torque = law.tracking_torque(motion, damped)
         return after, Evaluation(torque, None, status, e, J_hat, g, reference=v_r)
 
@@ -423,6 +445,7 @@ class TrackingController(Immutable, Controller):
         waits: Any = False,
         gains: law.ReferenceGains | None = None,
         w: Array | None = None,
+        besides: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array, Array, Any, Any, Array | None, Array]:
         gains = self._gains if gains is None else gains
         predicted, w_dot = self.kinematics.predict(known, q, v, target), None
@@ -430,6 +453,8 @@ class TrackingController(Immutable, Controller):
             w_dot = self._slow.rate(w, predicted.z, gains.alpha, gains.per_speed)
             gains = gains._replace(beside=(w, w_dot))
         null, motion = self._rest.velocity(q, v), positions_at(self.task.robot, q)
+        if besides is not None:
+            null = null[0] + besides[0], null[1] + besides[1]
         found = law.reference_step(predicted, v, null, waits, gains, motion)
         return predicted.J, *found, w_dot, predicted.z
 
@@ -660,6 +685,20 @@ def _detour(task: Task, gains: law.ReferenceGains, dt: float) -> law.Detour:
     fastest = np.where(np.isfinite(gains.fastest), gains.fastest, _UNTOLD)
     rest = fastest, np.broadcast_to(gains.per_speed, (task.m,)), gains.singular_ratio, dt
     return law.Detour(low + inside, high - inside, turns, spread, *rest)
+
+
+def _rests(target: Target) -> Any:
+    moves = [each for each in target[1:] if each is not None]
+    return law.all_of(np.concatenate([np.zeros(1), *moves]) == 0.0)
+
+
+def _teaching(task: Task, gains: law.ReferenceGains, dt: float) -> law.TeachingMotion:
+    require_redundant("teach", task)
+    assert gains.stops is not None
+    n = task.robot.nv
+    omega, phase = (x.astype(np.float64) for x in (np.geomspace(*_SINES, n), _APART * np.arange(n)))
+    bounds = gains.fastest, gains.singular_ratio
+    return law.TeachingMotion(_TEACHES, omega, phase, gains.stops, *bounds, dt)
 
 
 def _shares(task: Task, limits: Limits) -> Array | None:

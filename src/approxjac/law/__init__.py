@@ -114,6 +114,7 @@ from approxjac.law.tracking import RaisedDamping as RaisedDamping
 from approxjac.law.tracking import ReferenceGains as ReferenceGains
 from approxjac.law.tracking import SlowFeedback as SlowFeedback
 from approxjac.law.tracking import StopZones as StopZones
+from approxjac.law.tracking import TeachingMotion as TeachingMotion
 from approxjac.law.tracking import bounded_damping as bounded_damping
 from approxjac.law.tracking import dynamics_rate as dynamics_rate
 from approxjac.law.tracking import reference as reference

@@ -13,9 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import any_of, choose, complement, is_finite, select
+from approxjac.law.branches import any_of, array, choose, complement, is_finite, select
 from approxjac.law.products import root
-from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_solver, damping_rate, regular_solver
+from approxjac.law.pseudoinverse import (
+    SINGULAR_RATIO,
+    damped_solver,
+    damping_rate,
+    is_near_singular,
+    regular_solver,
+)
 from approxjac.validation import Array
 
 
@@ -45,6 +51,9 @@ class PredictedError(NamedTuple):
 
 _PASSES = 2  # in which shares are found
 _CREEPS = 0.2  # of the speed that counts as one towards an end: what is left of it at the end
+_FREELY, _FULL = 0.5, 0.8  # shares of largest speeds, between which `TeachingMotion` slows down
+_AWAY = 2.0  # times the ratio of a singular Ĵ, below which it stops
+_FOLLOWS = 0.3  # time that it takes to [s]
 
 
 class StopZones(NamedTuple):
@@ -77,6 +86,40 @@ class StopZones(NamedTuple):
         """Return the depth of joints in their zones, with its sign, at a motion (n_v,)."""
         low, high = (self.low - motion) / self.zone + 1.0, (motion - self.high) / self.zone + 1.0
         return np.maximum(np.maximum(low, high), 0.0), np.where(high > low, 1.0, -1.0)
+
+
+class TeachingMotion(NamedTuple):
+    """A self-motion n that shows an estimator what the task's motion does not.
+
+    It follows wanted speeds by ṅ = (n_w − n)/T, so that its rate is exact whatever n_w is: a sine
+    for each joint. These are zero for joints in front of a stop, towards it. All are less where a
+    joint nears its largest speed, and zero near a singular Ĵ, or while the target rests.
+
+    Its memory are the time that it has moved for, and n.
+    """
+
+    size: float  # of n_w [rad/s or m/s]
+    omega: Array  # [rad/s]
+    phase: Array  # [rad]
+    stops: StopZones
+    fastest: Array  # [rad/s or m/s]
+    ratio: float  # of σ_max, below which Ĵ is singular
+    dt: float
+
+    def step(
+        self, memory: Array, J: Array, motion: Array, v: Array, rests: Any
+    ) -> tuple[Array, Array]:
+        """Return the memory a period later, and ṅ now, at positions `motion` (n_v,)."""
+        time, n = memory[0], memory[1:]
+        near, sides = self.stops.near(motion)
+        wanted = self.size * np.sin(self.omega * time + self.phase)
+        wanted = np.where((near > 0.0) & (sides * wanted > 0.0), 0.0, wanted)
+        room = (_FULL - (np.abs(v) / self.fastest).max()) / (_FULL - _FREELY)
+        room = np.minimum(np.maximum(room, 0.0), 1.0)
+        stays = rests | is_near_singular(J.dot(J.T), _AWAY * self.ratio)
+        rate = (select(stays, 0.0 * room, room) * wanted - n) / _FOLLOWS
+        after = select(rests, time, time + self.dt)
+        return np.concatenate([array([after]), n + self.dt * rate]), rate
 
 
 class ReferenceGains(NamedTuple):

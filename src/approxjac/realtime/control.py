@@ -34,7 +34,7 @@ from approxjac.validation import Array, as_number, require
 _PERIOD = 1.0 / 30.0  # s, of observers
 _PATIENCE = 30.0  # s, for which an observer may prepare before the arm moves
 _ANSWER = 1.0  # s, within which an observer has to end
-_SEEN = ("path", "step", "target", "truth", "measurement", "answer", "state", "tau")
+_SEEN = "path", "step", "target", "truth", "measurement", "answer", "state", "tau", "events"
 _READS = 5
 _HELD = 0.2  # share of the largest torque by which what is believed of gravity may be off
 _WARM = 50  # steps before the first that counts: caches, and whatever is made at first use
@@ -271,6 +271,10 @@ class ObserverThread(Loop):
         with self._loop.between_steps:
             self._loop.exchange(own)
         self.controller = controller
+
+    def relearn(self) -> None:
+        with self._loop.between_steps:
+            self._loop.relearn()
 
     def stop(self) -> None:
         self._loop.stop()

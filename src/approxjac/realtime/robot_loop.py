@@ -21,7 +21,7 @@ from approxjac.realtime.brake import Brake
 from approxjac.realtime.driver import Driver, read, two_clocks
 from approxjac.realtime.faults import Fault, Tolerances
 from approxjac.realtime.watches import FaultWatch, SensorWatch
-from approxjac.simulation.monitor import Monitor
+from approxjac.simulation.monitor import Event, Monitor
 from approxjac.simulation.plant import Plant
 from approxjac.simulation.simulate import Loop, Wanted, first_state, target_at, wanted_of, x_of
 from approxjac.simulation.trajectory import Record, Trajectory
@@ -115,7 +115,11 @@ class RobotLoop(Loop):
             if message := two_clocks(measurement, self.dt):
                 self._note(Fault.CLOCK_JUMPED, message)
         if known and (fault is None or fault in _FAST):
-            self._diagnose(measurement)
+            answer = self.answer  # to the sample before
+            if self.monitor.look(measurement, answer.torque, answer.reference, self.state):
+                event = self.monitor.events[-1]
+                if event.condition is Condition.MOTOR_WEAK:
+                    self._note(Fault.MOTOR_WEAK, f"{event.where}: {event.figure}")
         if known and not self._brakes():
             self._look(measurement)
             if not self._brakes():
@@ -138,12 +142,10 @@ class RobotLoop(Loop):
         self.step += 1
         return not self._rests()
 
-    def _diagnose(self, measurement: Measurement) -> None:
-        answer = self.answer  # to the sample before
-        if self.monitor.look(measurement, answer.torque, answer.reference, self.state):
-            event = self.monitor.events[-1]
-            if event.condition is Condition.MOTOR_WEAK:
-                self._note(Fault.MOTOR_WEAK, f"{event.where}: {event.figure}")
+    @property
+    def events(self) -> tuple[Event, ...]:  # type: ignore[override]
+        """What the monitor has detected so far."""
+        return tuple(self.monitor.events)
 
     def _explain(self) -> None:
         """Say what made a joint too fast, if that can be seen."""

@@ -13,6 +13,8 @@ from approxjac.robots.robot import WORLD, Robot, mass_matrix
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_vector, axis_rows, read_only, require
 
+_UNITS = {"v": "rad/s or m/s", "a": "rad/s^2 or m/s^2", "tau": "N m or N"}
+
 
 class Dynamics(Immutable):
     """The terms of M(q) q̈ + C(q, q̇) q̇ + g(q) = τ, eq. (1) without friction.
@@ -82,7 +84,7 @@ class Dynamics(Immutable):
     def inverse(self, q: Array, v: Array, a: Array) -> Array:
         """Return M(q)a + C(q, q̇)q̇ + g(q) by RNEA, shape (n_v,) [N m or N]."""
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.bias(v) + arm.momentum(a))
+            return np.asanyarray(arm.inverse(v, a))
         q, v, a = self._q(q), self._v(v), self._v(a, "a")
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
@@ -120,7 +122,7 @@ class Dynamics(Immutable):
         )
 
     def _v(self, v: Array, name: str = "v") -> Array:
-        return as_vector(name, v, self.robot.nv)
+        return as_vector(name, v, self.robot.nv, _UNITS[name])
 
 
 COULOMB_SPEED = 0.05  # speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]

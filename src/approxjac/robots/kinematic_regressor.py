@@ -1,8 +1,9 @@
 """The kinematic regressor: positions by joint origins, axes and encoders that may be wrong."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, partial, reduce
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,13 +12,12 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_arrays, refusing, replaced
-from approxjac.robots.robot import Robot, all_frame_id
+from approxjac.robots.robot import MimicJoints, Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
 
-_IN_WORLD = pin.LOCAL_WORLD_ALIGNED
+_IN_WORLD, _UPRIGHT = pin.LOCAL_WORLD_ALIGNED, np.eye(3)
 _ANGLES = "tilt1", "tilt2", "encoder"
-_JACOBIAN_DOT = pin.getFrameJacobianTimeVariation
 _FARTHEST = {"m": 0.1, "rad": 0.3}  # that a number of a joint is from another drawing of the arm
 
 
@@ -53,6 +53,14 @@ class TurnMotion(NamedTuple):
     A: Array
 
 
+class _Freed:
+    """An arm of which only the joints are known, as code on symbols takes robots."""
+
+    def __init__(self, name: str, model: pin.Model) -> None:
+        self.name, self.model, self.nv = name, model, model.nv
+        self.mimic_joints, self.frame_id = MimicJoints(model), model.getFrameId
+
+
 class KinematicRegressor(Immutable):
     """p(q, θ), with θ the errors of a drawing: joint origins, tool, and axes and encoders if asked.
 
@@ -78,7 +86,7 @@ class KinematicRegressor(Immutable):
         k: Number of points.
         movers: Names of the joints that move the points, whose origins come first.
         turners: Those of them that turn, if their axes are among θ.
-        across: e₁ and e₂ of each of these, in the joint's own axes, shape (3,) each.
+        across: e₁, e₂ and the axis of each of these, in the joint's own axes, shape (3,) each.
         rotations: R⁰ of each of these, shape (k, 3, 3).
         n_lengths: Number of translations, which come first.
         names: Names of the parameters, such as "panda_joint4.x" or "tool.x"; with several
@@ -140,63 +148,50 @@ class KinematicRegressor(Immutable):
         turned = [model.jointPlacements[model.getJointId(name)] for name in self.turners]
         self.rotations = np.array([each.rotation for each in turned]).reshape(-1, 3, 3)
 
-        # A translation is a joint, too, of three axes that slide, and a tilt is one that turns:
-        # then θ are numbers of q (an encoder's are added to it), Y and J are columns of one
-        # Jacobian, and Pinocchio has the rates of both.
-        self._freed, links = pin.Model(), {0: 0}
+        # Translations are joints that slide, too, tilts and encoders ones that turn: then θ are
+        # numbers of q, Y and J are columns of one Jacobian, and Pinocchio, or code on symbols, has
+        # the rates of both.
+        whole, links, shifts, angles = pin.Model(), {0: 0}, list[int](), list[int]()
+        slides = pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ()
 
-        def freed(link: int, kind: Any, placement: pin.SE3, what: str) -> int:
-            return int(self._freed.addJoint(link, kind, placement, what))
+        def chained(link: int, kinds: Iterable[Any], what: str, R: Array = _UPRIGHT) -> list[int]:
+            """Return joints one after the other, of which the first is turned by R on a link."""
+            added = [link]
+            for i, kind in enumerate(kinds):
+                placed = pin.SE3(_UPRIGHT if i else R, np.zeros(3))
+                added.append(int(whole.addJoint(added[-1], kind, placed, f"{what} {i}")))
+            return added[1:]
 
-        def slid(link: int, what: str) -> int:
-            slide, here = pin.JointModelTranslation(), pin.SE3.Identity()
-            return freed(links[link], slide, here, f"origin of {what}")
-
-        shifts, tilts = [], []
-        self.across: list[tuple[Array, Array]] = []
+        self.across = [_across(robot.tree.joints[name].axis) for name in self.turners]
+        ways = dict(zip(self.turners, self.across, strict=True))
         for joint, name in zip(joints, self.movers, strict=True):
-            shifts.append(slid(model.parents[joint], f"joint {name}"))
-            link = shifts[-1]
-            turned = pin.SE3(model.jointPlacements[joint].rotation, np.zeros(3))
-            if name in self.turners:
-                self.across.append(_across(robot.tree.joints[name].axis))
-                for i, axis in enumerate(self.across[-1]):
-                    kind = pin.JointModelRevoluteUnaligned(axis)
-                    tilts.append(link := freed(link, kind, turned, f"tilt {i} of {name}"))
-                    turned = pin.SE3.Identity()
-            links[joint] = freed(link, model.joints[joint], turned, name)
+            shifts += chained(links[model.parents[joint]], slides, f"origin of {name}")
+            kinds = *map(pin.JointModelRevoluteUnaligned, ways.get(name, ())), model.joints[joint]
+            R = model.jointPlacements[joint].rotation
+            *turning_by, links[joint] = chained(shifts[-1], kinds, name, R)
+            angles += turning_by
         ends_at = [
-            slid(each.parentJoint, f"frame {name}")
+            chained(links[each.parentJoint], slides, f"origin of frame {name}")
             for name, each in zip(self.frames, placed, strict=True)
         ]
         self._points = [
-            self._freed.addFrame(
-                pin.Frame(f"point {i}", ends_at[f], pin.SE3(R, R @ point), pin.FrameType.OP_FRAME)
+            whole.addFrame(
+                pin.Frame(f"{i}", ends_at[f][-1], pin.SE3(R, R @ point), pin.FrameType.OP_FRAME)
             )
             for i, (f, R, point) in enumerate(zip(of_frame, rotations, known, strict=True))
         ]
-        added = [self._freed.joints[i] for i in (*map(links.get, joints), *shifts, *ends_at)]
-        added += [self._freed.joints[i] for i in tilts]
-        places = np.array([each.idx_v + i for each in added for i in range(each.nv)])
-        self._of_joints, of_theta = np.split(places, [n])
+        self._freed = _Freed(robot.name, whole)
+        order = (*map(links.__getitem__, joints), *shifts, *chain(*ends_at), *angles)
+        added = [whole.joints[i] for i in order]
+        places = np.array([each.idx_v for each in added])
+        self._of_joints, self._of_theta = np.split(places, [n])
         # where the numbers of that model are in (q, θ) and (q̇, θ') of all joints
-        own = [model.joints[joint] for joint in joints]
+        own, of_theta = [model.joints[joint] for joint in joints], np.arange(self.p)
         at_q = [each.idx_q + i for each in own for i in range(each.nq)]
         at_v = [each.idx_v for each in own]
-        angles = self.n_lengths + np.arange(len(turns)).reshape(-1, 3)
-        self._encoders = angles[:, 2]
-        moved = np.append(np.arange(self.n_lengths), angles[:, :2])  # θ that are joints
-        encoded = [self.movers.index(name) for name in self.turners]
-        self._of_theta = np.zeros(self.p, dtype=int)
-        self._of_theta[moved], self._of_theta[self._encoders] = of_theta, places[encoded]
-        order = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
-        self._from_q = np.append(at_q, model.nq + moved)[order]
-        self._from_v = np.append(at_v, model.nv + moved)[np.argsort(places)]
-        self._encoded_v = np.array([own[i].idx_v for i in encoded], dtype=int)
-        first = np.array([own[i].idx_q for i in encoded], dtype=int)
-        pairs = np.array([own[i].nq == 2 for i in encoded], dtype=bool)
-        self._encoded_q, self._pairs = first[~pairs], first[pairs]
-        self._one, self._two = self._encoders[~pairs], self._encoders[pairs]
+        by_q = np.argsort([each.idx_q + i for each in added for i in range(each.nq)])
+        self._from_q = np.append(at_q, model.nq + of_theta)[by_q]
+        self._from_v = np.append(at_v, model.nv + of_theta)[np.argsort(places)]
         self._columns = robot.mimic_joints.columns(np.eye(model.nv))[at_v]
         self._plain = np.array_equal(self._columns, np.eye(n))
 
@@ -214,48 +209,29 @@ class KinematicRegressor(Immutable):
 
         Without axes neither depends on θ.
         """
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return arm.points(self).linear(theta)
-        pin.computeJointJacobians(self._freed, self._data, self._all(q, theta))
-        p, J = self._positions(), self._jacobians(pin.getFrameJacobian)
-        Y = J.take(self._of_theta, 1)
+        arm = self._placed(q, theta)
+        p, Y = self._positions(arm), self._jacobians(arm).take(self._of_theta, 1)
         return Y, p - Y.dot(theta)
 
     def position(self, q: Array, theta: Array) -> Array:
         """Return p of parameters θ (p,), shape (3k,) [m]."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.points(self).motion(None, theta, None).p)
-        pin.forwardKinematics(self._freed, self._data, self._all(q, theta))
-        return self._positions()
+        return self._positions(self._placed(q, theta))
 
     def motion(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> PointMotion:
         """Return positions and derivatives at q (nq,), q̇ (n_v,), θ (p,) and θ' (p,) [1/s]."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return arm.points(self).motion(v, theta, theta_dot)
-        self._move(q, v, theta, theta_dot)
-        p = self._positions()
-        J, J_dot = self._jacobians(pin.getFrameJacobian), self._jacobians(_JACOBIAN_DOT)
-        drift = J.take(self._of_theta, 1).dot(theta_dot)
+        rates = self._rates(v, theta_dot)
+        arm = self._placed(q, theta, rates)
+        J, J_dot = self._jacobians(arm), self._jacobians(arm, rates)
+        p, drift = self._positions(arm), J.take(self._of_theta, 1).dot(theta_dot)
         return PointMotion(p, self._along_joints(J), self._along_joints(J_dot), drift)
 
     def turn(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> TurnMotion:
         """Return the first frame's orientation and derivatives; arguments are those of `motion`."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return arm.points(self).turn(v, theta, theta_dot)
-        self._move(q, v, theta, theta_dot)
-        of = self._freed, self._data, self._points[0]
-        J, J_dot = (each(*of, _IN_WORLD)[3:] for each in (pin.getFrameJacobian, _JACOBIAN_DOT))
-        R = pin.updateFramePlacement(*of).rotation.copy()
-        A = J.take(self._of_theta, 1)
+        rates = self._rates(v, theta_dot)
+        arm = self._placed(q, theta, rates)
+        J, J_dot = self._jacobian(arm, 0)[3:], self._jacobian(arm, 0, rates)[3:]
+        R, A = self._frame(arm, 0)[0].copy(), J.take(self._of_theta, 1)
         return TurnMotion(R, self._along_joints(J), self._along_joints(J_dot), A)
-
-    def _move(self, q: Array, v: Array, theta: Array, theta_dot: Array) -> None:
-        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
-        if self.turners:
-            speeds = speeds.copy()
-            speeds[self._encoded_v] += theta_dot[self._encoders]
-        rates = np.concatenate([speeds, theta_dot]).take(self._from_v)
-        pin.computeJointJacobiansTimeVariation(self._freed, self._data, self._all(q, theta), rates)
 
     def robot_with(self, theta: Array, turn: Array | None = None) -> Robot:
         """Return the robot with other parameters θ (p,), and its tool rotated by `turn`.
@@ -305,53 +281,67 @@ class KinematicRegressor(Immutable):
             if moved[joint].any():
                 placed = self._model.frames[all_frame_id(self.robot, parent)].placement
                 shifts[joint] = list(placed.rotation.T @ moved[joint])
-        turns = enumerate(zip(self.turners, theta[self.n_lengths :].reshape(-1, 3), strict=True))
-        rotations = {name: self._turn_of(i, by).tolist() for i, (name, by) in turns if by.any()}
+        rotations, turns = dict[str, Any](), theta[self.n_lengths :].reshape(-1, 3)
+        for name, ways, by in zip(self.turners, self.across, turns, strict=True):
+            if by.any():  # of tilts and encoder
+                each = [pin.exp3(angle * way) for way, angle in zip(ways, by, strict=True)]
+                rotations[name] = pin.log3(reduce(np.matmul, each)).tolist()
         return shifts, rotations, held
-
-    def _turn_of(self, i: int, angles: Array) -> Array:
-        """Return the rotation vector (3,) of a joint's origin by its tilts and encoder."""
-        one, two = self.across[i]
-        ways = zip((one, two, np.cross(one, two)), angles.tolist(), strict=True)
-        return pin.log3(reduce(np.matmul, [pin.exp3(angle * way) for way, angle in ways]))
 
     @cached_property
     def _data(self) -> pin.Data:
-        return self._freed.createData()
+        return self._freed.model.createData()
 
-    def _all(self, q: Array, theta: Array) -> Array:
-        """Return q and θ as the model with translations as joints has them."""
+    def _rates(self, v: Array, theta_dot: Array) -> Array:
+        """Return q̇ and θ' as the model with translations as joints has them."""
+        speeds = self.robot.mimic_joints.v(as_vector("v", v, self.robot.nv))
+        return np.concatenate([speeds, theta_dot]).take(self._from_v)
+
+    def _placed(self, q: Array, theta: Array, rates: Array | None = None) -> Any:
+        """Place that model at q and θ; return it if they are symbols, else None."""
         q = self.robot.mimic_joints.q(self.robot.configuration(q))
-        if self.turners:
-            q = q.copy()
-            q[self._encoded_q] += theta[self._one]
-            c, s = np.cos(theta[self._two]), np.sin(theta[self._two])
-            x, y = q[self._pairs], q[self._pairs + 1]
-            q[self._pairs], q[self._pairs + 1] = c * x - s * y, s * x + c * y
-        return np.concatenate([q, theta]).take(self._from_q)
+        q = np.concatenate([q, theta]).take(self._from_q)
+        if (arm := arm_of(self._freed, q)) is not None:
+            return arm
+        if rates is None:
+            pin.computeJointJacobians(self._freed.model, self._data, q)
+        else:
+            pin.computeJointJacobiansTimeVariation(self._freed.model, self._data, q, rates)
+        return None
 
-    def _positions(self) -> Array:
-        update, (model, data) = pin.updateFramePlacement, (self._freed, self._data)
-        return np.concatenate([update(model, data, point).translation for point in self._points])
+    def _frame(self, arm: Any, i: int) -> tuple[Array, Array]:
+        """Return the rotation (3, 3) and the position (3,) of a point in the base's axes."""
+        if arm is not None:
+            return arm.frame(f"{i}")
+        M = pin.updateFramePlacement(self._freed.model, self._data, self._points[i])
+        return M.rotation, M.translation
 
-    def _jacobians(self, of_point: Callable[..., Array]) -> Array:
-        """Return a Jacobian of all points in the world's axes, (3k, n + p)."""
-        model, data = self._freed, self._data
-        each = [of_point(model, data, point, _IN_WORLD)[:3] for point in self._points]
-        return each[0] if len(each) == 1 else np.concatenate(each)
+    def _jacobian(self, arm: Any, i: int, rates: Array | None = None) -> Array:
+        """Return the Jacobian of a point by q and θ in the base's axes, (6, n + p), or its rate."""
+        if arm is not None:
+            return arm.jacobian(f"{i}") if rates is None else arm.jacobian_dot(f"{i}", rates)
+        of_frame = pin.getFrameJacobian if rates is None else pin.getFrameJacobianTimeVariation
+        return of_frame(self._freed.model, self._data, self._points[i], _IN_WORLD)
+
+    def _positions(self, arm: Any) -> Array:
+        return np.concatenate([self._frame(arm, i)[1] for i in range(self.k)])
+
+    def _jacobians(self, arm: Any, rates: Array | None = None) -> Array:
+        each = [self._jacobian(arm, i, rates)[:3] for i in range(self.k)]
+        return each[0] if self.k == 1 else np.concatenate(each)
 
     def _along_joints(self, J: Array) -> Array:
         J = J.take(self._of_joints, 1)
-        return J if self._plain else np.asarray(J.dot(self._columns))
+        return J if self._plain else np.asanyarray(J.dot(self._columns))
 
 
-def _across(axis: Array) -> tuple[Array, Array]:
-    """Return e₁ and e₂ (3,) with e₁ × e₂ along an axis (3,): x and y of an axis along z."""
+def _across(axis: Array) -> tuple[Array, Array, Array]:
+    """Return e₁, e₂ and e₁ × e₂ along an axis, (3,) each: x, y and z of an axis along z."""
     axis = axis / np.linalg.norm(axis)
     one = np.eye(3)[np.abs(axis).argmin()]
     one = one - axis * axis.dot(one)
     one = one / np.linalg.norm(one)
-    return one, np.cross(axis, one)
+    return one, np.cross(axis, one), axis
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -391,7 +381,7 @@ class KinematicBelief:
             joint, _, kind = name.rpartition(".")
             if kind == "tilt1" and joint in regressor.turners:
                 j, angles = regressor.turners.index(joint), slice(i, i + 3)
-                B = np.column_stack([*regressor.across[j], np.cross(*regressor.across[j])])
+                B = np.column_stack(regressor.across[j])
                 # exp(α₁[x]ₓ) exp(α₂[y]ₓ) exp(δ[z]ₓ) is the inverse of a roll, pitch and yaw
                 before = pin.rpy.computeRpyJacobian(-learnt[angles], pin.WORLD)
                 R = pin.rpy.rpyToMatrix(-learnt[angles]) @ B.T @ next(rotations).T

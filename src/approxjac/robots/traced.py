@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from approxjac.robots.robot import Robot
 
 
-def arm_of(robot: Robot, q: Any) -> Any:
+def arm_of(robot: Any, q: Any) -> Any:
     """Return the terms of a robot at a symbolic q; None if q is numeric.
 
     They are a `codegen.arm.rigid_body.Configured`.

@@ -253,7 +253,10 @@ def _law(
             # with a lag, or joints that give way, it has to know both
             latency=latency if is_late or drives is None else None,
             drives=drives if is_late else None,
-            gains=controllers.TrackingGains(detours=bool(chosen.detours)),
+            gains=controllers.TrackingGains(
+                self_motion=chosen.self_motion or controllers.TrackingGains.self_motion,
+                detours=bool(chosen.detours),
+            ),
         )
     posture: controllers.Posture | controllers.AwayFromStops | None = None
     if chosen.posture_stiffness:
@@ -286,7 +289,8 @@ def recommended(scenario: Scenario) -> Scenario:
     joints, where positions or poses are measured.
     """
     chosen = scenario.controller
-    kept = {name: getattr(chosen, name) for name in ("limits", "torque_rate", "detours")}
+    own = "limits", "torque_rate", "detours", "self_motion"
+    kept = {name: getattr(chosen, name) for name in own}
     usual = replace(type(chosen)(), **kept)
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
     if chosen != usual or not learns or sampling_time(scenario) == 0.0:
@@ -300,15 +304,12 @@ def recommended(scenario: Scenario) -> Scenario:
 
 def _friction(scenario: Scenario) -> controllers.FrictionCompensation | None:
     chosen, sensor = scenario.controller, scenario.sensor
-    wanted = chosen.friction_compensation
-    if wanted is None:
-        exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
-        is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
-        learns = chosen.gravity in (None, "learnt", "learn_residual")
-        wanted = learns and is_recent and sampling_time(scenario) > 0.0
-    if not wanted:
-        return None
-    return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
+    exact = sensor.delay == sensor.noise == 0.0 and sensor.rate is None
+    is_recent = bool(chosen.unknown) or (exact and chosen.differentiator is None)
+    learns = chosen.gravity in (None, "learnt", "learn_residual")
+    if learns and is_recent and sampling_time(scenario) > 0.0:
+        return controllers.FrictionCompensation(encoder_step=sensor.q_quantum)
+    return None
 
 
 def _gravity(truth: Robot, belief: Robot, kind: str | None, integral: bool | None) -> Gravity:

@@ -34,7 +34,7 @@ _RECORDS, _CONTINUOUS_RECORDS = 2000, 2400  # of a run, about
 _AT_LIMIT = 0.01  # a joint this near to its position limit counts as at it [rad or m]
 _AT_REST = 0.1  # what moves no faster may be called at rest [rad/s or m/s]
 _UNITS = dict.fromkeys(("length", "radius", "shifts", "shift", "position", "offset", "floor"), "m")
-_UNITS |= dict.fromkeys(("rotations", "rotation", "roll"), "rad") | {"mass": "kg"}
+_UNITS |= dict.fromkeys(("rotations", "rotation", "roll", "tilt"), "rad") | {"mass": "kg"}
 _UNITS |= {"friction": "N m s/rad", "coulomb": "N m"}
 _STRAY = 0.05  # of how far a path leads from its start: farther beside it is not following it
 

@@ -224,8 +224,6 @@ class ControllerChoice:
             default; the true one, the believed one or none; or a learnt residual, for robots that
             add the believed arm's (Franka, UR).
         integral_action: Learn a task force and joint torques; by default if gravity is learnt.
-        friction_compensation: Learn the friction of joints that stand; by default if gravity is
-            learnt and x is as recent as q.
         settling_time: Time to settle, s; by default as short as arm, motors and latency allow.
         kp: Gain K_p, one number or one per task coordinate; by the rule of default gains.
         kv: Gain K_v, one number or one per task coordinate; by the rule of default gains.
@@ -235,6 +233,8 @@ class ControllerChoice:
         posture_stiffness: Stiffness that draws the self-motion to the start, N m/rad; 0 is none.
         detours: Leave dead ends by a motion of the joints to another configuration that reaches the
             target; by the law tracking, for positions. By default if a simulation chooses the law.
+        self_motion: "teach" moves a redundant arm besides the task, so that learnt kinematics are
+            known elsewhere; by the law tracking.
         limits: Limits to keep: those of the "urdf"; a multiple of its effort limits, then the
             motors' too; or "none", as in continuous control.
         torque_rate: Largest change of a torque within limits, N m/s; any by default.
@@ -247,7 +247,6 @@ class ControllerChoice:
     differentiator: float | None = positive(None)
     gravity: Literal["learnt", "exact", "believed", "none", "learn_residual"] | None = None
     integral_action: bool | None = None
-    friction_compensation: bool | None = None
     settling_time: float | None = positive(None)
     kp: Numbers | None = positive(None)
     kv: Numbers | None = positive(None)
@@ -255,6 +254,7 @@ class ControllerChoice:
     gamma: float | None = positive(None)
     posture_stiffness: float = at_least(0.0)
     detours: bool | None = None
+    self_motion: Literal["teach"] | None = None
     limits: float | Literal["urdf", "none"] = positive("urdf")
     torque_rate: float | None = positive(None)
     unseen: float | None = positive(None)
@@ -372,6 +372,8 @@ class Analysis:
         focal_length: Smallest and largest true focal length of the camera, px or m.
         distance: Smallest and largest true distance of a planar camera, or error of it, m.
         roll: Smallest and largest true roll of the camera, of a pinhole one its error, rad.
+        tilt: Largest errors of a pinhole camera's view about its axes right and down, rad.
+        shift: Largest errors of a pinhole camera's place along right, down and forward, m.
         around: Center of the region, one position a joint, rad or m; `radius` is its size.
         radius: Largest distance of each joint from the center of the region, rad or m.
         sigma_min: Leave out configurations where σ_min of the believed Jacobian is smaller, m/rad.
@@ -390,6 +392,8 @@ class Analysis:
     focal_length: Interval | None = None
     distance: Interval | None = None
     roll: Interval | None = None
+    tilt: Interval | None = None
+    shift: Vector | None = None
     around: Numbers | None = None
     radius: float = positive(0.3)
     sigma_min: float | None = at_least(None)

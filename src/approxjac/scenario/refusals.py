@@ -12,7 +12,7 @@ from approxjac.scenario.records import Tracker
 from approxjac.scenario.scenario import Scenario
 
 _OF_SETPOINT = ["settling_time", "kp", "kv", "damping", "gamma", "posture_stiffness"]
-_OF_SETPOINT += ["differentiator", "integral_action", "friction_compensation"]
+_OF_SETPOINT += ["differentiator", "integral_action"]
 Rule = tuple[str, bool, str, str]
 """A key that may do nothing, whether it does here, its use, and what there is in its place."""
 
@@ -51,7 +51,7 @@ def require_reportable(scenario: Scenario) -> None:
         ("controller.gravity", adds, none, ""),
         ("stability.map_points", scenario.stability.map_points == 1, "must be 0 or >= 2", ""),
     ]
-    for name in ("focal_length", "distance", "roll"):
+    for name in ("focal_length", "distance", "roll", "tilt", "shift"):
         rules.append((f"stability.{name}", kind != "image", "needs task.kind image", kind))
     refuse(scenario, rules)
 
@@ -85,6 +85,7 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("controller.command", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.torque_rate", velocities, "is of torques", control.command),
         ("controller.detours", not tracks, "needs controller.law tracking", "setpoint"),
+        ("controller.self_motion", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
     for name in _OF_SETPOINT:

@@ -14,6 +14,7 @@ from approxjac.controllers.learning.kinematic_report import UNEXPLAINED
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Condition, Measurement
 from approxjac.robots import Dynamics, Robot
+from approxjac.simulation.drift import DriftWatch
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
 
@@ -43,6 +44,7 @@ _SAMPLES = 12  # in which a joint has become too fast
 _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _ONE_FITS = 0.1  # of χ², by which one number may explain less than three
+_TURNED_BACK, _SOON_SURE = 0.15, 6.0  # of a share of 2, as of a reversed motor; χ² enough then
 _ONSET, _BETTER = 0.02, 12.0  # s, in which no motor is at fault if a load or force explains more χ²
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
 _WEAK, _DEAD = 0.35, 0.65  # share of its torque that a weak or a dead motor lacks
@@ -105,7 +107,8 @@ class Monitor:
     A Kalman filter takes what lasts for a load at the tip, friction and constant errors. What comes
     suddenly is compared with its possible causes: one motor that lacks a share of its torque, a
     force at the tip, a load. The torques of a robot that takes velocities are unknown, so that only
-    oscillations and an unexplained x are detected.
+    oscillations, an unexplained x, and a slipped tool or moved sensor of x (`DriftWatch`) are
+    detected.
 
     Args:
         controller: The controller, which knows the believed robot and perhaps learns its
@@ -146,6 +149,7 @@ class Monitor:
         kinematics = controller.kinematics
         self._learns = kinematics is not None and bool(kinematics.names)
         self._left, self._compares = np.zeros(0), 0.0
+        self._changes = DriftWatch(controller)
         self._x: deque[Array] = deque(maxlen=3)  # of the last frames
         self._x_variance = np.zeros(controller.task.measured.m)
         self._frames: deque[tuple[float, Array, Array]] = deque()
@@ -166,6 +170,11 @@ class Monitor:
         if not math.isfinite(math.hypot(*q.tolist(), *v.tolist())):
             self._t = last
             return False
+        if change := self._changes.look(measurement, state):
+            condition, begin, *_ = change
+            moved = {Condition.TOOL_SLIPPED: self._tip.frame, Condition.SENSOR_MOVED: "sensor of x"}
+            where = moved.get(condition, " or ".join(moved.values()))
+            self.events.append(Event(condition, begin, t, math.inf, where, change.figure))
         if last is None or not 0.0 < t - last < _GAP:
             self._begin(t, q, v, torque)
         else:
@@ -465,7 +474,10 @@ class Monitor:
             self._since = self._samples[-2 - i][0]
             # a force has three numbers to fit, a motor one
             is_motor = left < min(_FITS, left_force + _ONE_FITS) and _WEAK < share < 2.0 + _WEAK
-            if whole <= _SURE or self._active.keys() & {"motor", "force"}:
+            turns_back = abs(share - 2.0) < _TURNED_BACK and left < 0.5 * left_force
+            is_motor = is_motor or turns_back
+            least = _SOON_SURE if turns_back else _SURE
+            if whole <= least or self._active.keys() & {"motor", "force"}:
                 break
             if is_motor:
                 self._weak_motor(j, share, float(abs(ticks[i].torque[j])))

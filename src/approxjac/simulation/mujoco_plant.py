@@ -76,7 +76,14 @@ class MujocoPlant(Plant):
                 given=robot,
             )
         self.floor = None if floor is None else as_number("floor", floor, unit="m")
-        self._require_modelled()
+        rubs, drives = self.transmission.friction, self.drives
+        more = rubs.stribeck > 1.0 or np.any(rubs.load) or np.any(drives.backlash)
+        if more or np.any(drives.ripple):
+            raise InvalidInputError(
+                "friction and drives of a MujocoPlant must be without stribeck, load, backlash and "
+                f"ripple, got {rubs!r} and {drives!r}",
+                given=drives,
+            )
         real = self.transmission if self.is_stepped else None
         self.mujoco_model = _mujoco_model(robot, self.floor, self.joint_limits, real)
         import mujoco
@@ -98,16 +105,6 @@ class MujocoPlant(Plant):
     def is_stepped(self) -> bool:
         """True with dry friction, too, which is a constraint of MuJoCo's."""
         return not self.is_ideal
-
-    def _require_modelled(self) -> None:
-        rubs, drives = self.transmission.friction, self.drives
-        more = rubs.stribeck > 1.0 or np.any(rubs.load) or np.any(drives.backlash)
-        if more or np.any(drives.ripple):
-            raise InvalidInputError(
-                "friction and drives of a MujocoPlant must be without stribeck, load, backlash and "
-                f"ripple, got {rubs!r} and {drives!r}",
-                given=drives,
-            )
 
     def _transmitted(
         self, q: Array, v: Array, motors: Motors, tau: Array, h: float

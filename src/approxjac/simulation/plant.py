@@ -3,20 +3,21 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from inspect import signature
 from typing import Any, Literal, Self
 
 import numpy as np
 import pinocchio as pin
 
+from approxjac import law
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
+from approxjac.law.factors import Factors
 from approxjac.robots import Dynamics, Robot
 from approxjac.robots.drives import Drives, Friction, drives_of, usual_effort, usual_inertia
 from approxjac.robots.dynamics import COULOMB_SPEED
-from approxjac.robots.robot import WORLD
 from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation.sensing import Sensing, lost_entries
 from approxjac.simulation.transmission import Motors, Transmission
@@ -42,6 +43,8 @@ _RATE = 200.0  # natural frequency of a joint on its stop, critically damped [ra
 _PIVOTS = 1000
 _LONGEST = 2e-3  # step of real joints [s]
 _TINY = 1e-6  # of a step
+_ENDLESS = (-math.inf, math.inf)
+_GUESSES = 3  # which joints press on their stops, of symbols
 _GIVES_WAY = 0.01  # at most under the whole torque of its motor [rad or m]
 
 _TWO = np.array(2.0)
@@ -127,7 +130,7 @@ class JointStops:
     def __init__(self, robot: Robot) -> None:
         self._robot, self._limits = robot, robot.position_limits
         # of each coordinate of q, infinite of continuous joints
-        self.ends = [(-math.inf, math.inf)] * robot.nq
+        self.ends = [_ENDLESS] * robot.nq
         for name, low, high in zip(robot.joint_names, *self._limits, strict=True):
             joint = robot.model.joints[robot.model.getJointId(name)]
             self.ends[joint.idx_q] = float(low), float(high)
@@ -143,9 +146,13 @@ class JointStops:
         """d, shape (n_v,) [N m s/rad or N s/m]."""
         return 2.0 / _RATE * self.stiffness
 
-    def touched(self, q: Array) -> bool:
+    def touched(self, q: Array) -> Any:
         """Return True if any joint is beyond its limits."""
-        for value, (low, high) in zip(q.tolist(), self.ends):  # noqa: B905, SIM110 (it is quick)
+        pairs = zip(q.tolist(), self.ends)  # noqa: B905
+        if type(q) is not np.ndarray:  # symbols
+            known = [(value, ends) for value, ends in pairs if ends != _ENDLESS]
+            return law.any_of(law.array([(x < low) | (x > high) for x, (low, high) in known]))
+        for value, (low, high) in pairs:  # noqa: SIM110 (it is quick)
             if value < low or value > high:  # one that is NaN is not
                 return True
         return False
@@ -163,37 +170,56 @@ class JointStops:
         push = self.stiffness * np.maximum(depth, 0.0) + self.damping * side * v
         return np.where(depth > 0.0, -side * np.maximum(push, 0.0), 0.0)
 
-    def contact(
-        self, q: Array, v: Array, M_inv: Array, dt: float
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        """Return the terms of a step that ends at v (n_v,) without stops, on numbers or symbols.
-
-        δ and its side; v outwards; what a unit of each push takes of that, (n_v, n_v); and p by δ̇.
-        """
-        depth, side = self.depth(q)
-        slowed = dt * side[:, np.newaxis] * M_inv * side
-        return depth, side, side * v, slowed, self.stiffness * dt + self.damping
-
-    def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> Array:
+    def held_torque(self, q: Array, v: Array, M_inv: Array, dt: float) -> tuple[Array, Any]:
         """Return the stops' constant torque (n_v,) over a step dt [s] of semi-implicit Euler.
 
         p has δ and δ̇ of the end of the step (implicit Euler), so that no step adds energy. v is
-        the velocity (n_v,) that the step would end with without stops.
+        the velocity (n_v,) that the step would end with without stops. With symbols, which joints
+        press on their stops is guessed; the second result is 1 where that went wrong, else 0.
         """
-        depth, side, v, slowed, per_speed = self.contact(q, v, M_inv, dt)
+        depth, side = self.depth(q)
+        # v outwards, what a unit of each push takes of that, (n_v, n_v), and p by δ̇
+        v, slowed = side * v, dt * side[:, np.newaxis] * M_inv * side
+        per_speed = self.stiffness * dt + self.damping
+        if type(v) is not np.ndarray:
+            push, wrong = self._guessed(depth, v, slowed, per_speed, dt)
+            return -side * push, wrong
         push = np.zeros(len(v))
         touching = np.zeros(len(v), dtype=bool)
         while True:
             # what pushes one joint back may push another one beyond its limit
             reached = depth + dt * (v - slowed @ push) > 0.0
             if not (reached & ~touching).any():
-                return -side * push
+                return -side * push, 0.0
             touching |= reached
             there = np.flatnonzero(touching)
             push[there] = _complementary(
                 np.diag(1.0 / per_speed[there]) + slowed[np.ix_(there, there)],
                 (self.stiffness * depth)[there] / per_speed[there] + v[there],
             )
+
+    def _guessed(
+        self, depth: Array, v: Array, slowed: Array, per_speed: Array, dt: float
+    ) -> tuple[Array, Any]:
+        """Return the pushes of `held_torque` by a few guesses, each from the last one."""
+        b, nothing = self.stiffness / per_speed * depth + v, np.zeros(len(v))
+
+        def guess(_: Any, values: tuple[Any, ...]) -> tuple[Any, ...]:
+            # left is what is left of b without its own push
+            push, left, touches, presses, _ = values
+            touches = touches | (depth + dt * (v - slowed @ push) > 0.0)
+            presses = touches & np.where(presses, push > 0.0, left > 0.0)
+            A = np.where(presses[:, np.newaxis] & presses, slowed, 0.0)
+            A = A + np.diag(np.where(presses, 1.0 / per_speed, 1.0))
+            push = np.where(presses, Factors(A).solve(np.where(presses, b, 0.0)), 0.0)
+            left = b - slowed @ push
+            newly = ~touches & (depth + dt * (v - slowed @ push) > 0.0)
+            wrong = newly | (presses & (push < 0.0)) | (touches & ~presses & (left > 0.0))
+            return push, left, touches, presses, law.any_of(wrong)
+
+        start = nothing, b, nothing < 0.0, nothing < 0.0, False
+        push, *_, wrong = law.repeat(_GUESSES, guess, start)
+        return push, law.select(wrong, 1.0, 0.0)
 
 
 def _complementary(A: Array, b: Array) -> Array:
@@ -291,7 +317,6 @@ class Plant(Immutable):
         self._has_friction = self._has_coulomb or max(self.friction.tolist()) > 0.0
         # a servo compensates friction, so that it does not stick
         self.is_ideal = self.transmission.is_ideal or servo is not None
-        self._is_coupled = robot.mimic_joints.G is not None
         self._is_vector = robot.nq == robot.nv  # a motion is then added to a configuration
 
     def _of(self, robot: Robot, sensor: Task) -> Self:
@@ -299,8 +324,7 @@ class Plant(Immutable):
         _require_own(robot, sensor)
         _ = self.stops  # those of the arm, whatever it holds
         plant = self._with(robot=robot, sensor=sensor)
-        for name in ("dynamics", "_data", "_aba"):
-            vars(plant).pop(name, None)
+        vars(plant).pop("dynamics", None)
         return plant
 
     def _sensed(self, sensing: Sensing | None, actuator_delay: float) -> Self:
@@ -331,14 +355,6 @@ class Plant(Immutable):
     def dynamics(self) -> Dynamics:
         """M, C and g of the true robot."""
         return Dynamics(self.robot)
-
-    @cached_property
-    def _data(self) -> pin.Data:
-        return self.robot.model.createData()
-
-    @cached_property
-    def _aba(self) -> Callable[..., Array]:
-        return partial(pin.aba, self.robot.model, self._data)
 
     def ready_configuration(self) -> Array:
         """Return the default start configuration (nq,) of `simulate`; the same each time.
@@ -451,7 +467,8 @@ class Plant(Immutable):
     ) -> tuple[Array, Array, Motors | None]:
         """Return (q, v, motors) after dt [s] under a constant command; arguments are not checked.
 
-        `motors` is that of the step before, at first of `motors_at`; None of ideal joints.
+        `motors` is that of the step before, at first of `motors_at`; None of ideal joints. It runs
+        on symbols, too, and leaves the step where the torque of stops is not found.
         """
         if not self.is_ideal:
             motors = motors or self.transmission.at_rest(self.dynamics.g(q))
@@ -462,13 +479,20 @@ class Plant(Immutable):
         accelerate: Acceleration = self._driven
         if self.servo is None:
             accelerate, tau = self._acceleration, self._delivered(q, tau)
-        q_end, v_end = integrate(accelerate, self._moved, q, v, tau, dt)
-        if self.stops is None or not self.stops.touched(q_end):
-            return q_end, v_end, None
-        free = v + dt * accelerate(q, v, tau)
-        M_inv = self.dynamics.M_inv(q)
-        v_end = free + dt * M_inv @ self.stops.held_torque(q, free, M_inv, dt)
-        return self._moved(q, dt * v_end), v_end, None
+        stops, end = self.stops, (*integrate(accelerate, self._moved, q, v, tau, dt), 0.0)
+        if stops is None or (touched := stops.touched(end[0])) is False:
+            return *end[:2], None
+
+        def stopped() -> tuple[Array, Array, Any]:
+            free = v + dt * accelerate(q, v, tau)
+            M_inv = self.dynamics.M_inv(q)
+            push, wrong = stops.held_torque(q, free, M_inv, dt)
+            v_end = free + dt * M_inv @ push
+            return self._moved(q, dt * v_end), v_end, wrong
+
+        q_end, v_end, wrong = law.choose(touched, stopped, lambda: end)
+        law.leave(wrong > 0.0)
+        return q_end, v_end, None
 
     @property
     def is_stepped(self) -> bool:
@@ -493,12 +517,20 @@ class Plant(Immutable):
             angle = motion_between(self.robot, self.robot.neutral(), q)
         ahead = v + 0.5 * motors.change
         terms = dynamics.M(mid), dynamics.inverse(mid, ahead, np.zeros(self.robot.nv))
-        after = self.transmission.step(v, motors, tau, h, terms, np.linalg.solve, angle)
-        if self.stops is not None and self.stops.touched(self._moved(mid, 0.5 * h * after.v)):
-            push = self.stops.held_torque(q, after.v, after.M_inv, h)
-            after = self.transmission.pushed(after, h * push)
-            return self._moved(q, h * after.v), after.v, after.motors
-        return self._moved(mid, 0.5 * h * after.v), after.v, after.motors
+        after = self.transmission.step(v, motors, tau, h, terms, angle)
+        stops, twist, held = self.stops, after.motors.twist, after.motors.held
+        end = self._moved(mid, 0.5 * h * after.v), after.v, *after.motors[1::2], 0.0
+        if stops is None or (touched := stops.touched(end[0])) is False:
+            return *end[:2], after.motors
+
+        def stopped() -> tuple[Any, ...]:
+            push, wrong = stops.held_torque(q, after.v, after.M_inv, h)
+            v_end, motors, _ = self.transmission.pushed(after, h * push)
+            return self._moved(q, h * v_end), v_end, *motors[1::2], wrong
+
+        q_end, v_end, rate, change, wrong = law.choose(touched, stopped, lambda: end)
+        law.leave(wrong > 0.0)
+        return q_end, v_end, Motors(twist, rate, held, change)
 
     def encoded(self, truth: Measurement, motors: Motors | None) -> Measurement:
         """Return a measurement with q and q̇ of the motors, where the encoders are there."""
@@ -507,9 +539,7 @@ class Plant(Immutable):
         return truth._replace(q=moved(self.robot, truth.q, motors.twist), v=motors.rate)
 
     def _moved(self, q: Array, motion: Array) -> Array:
-        if self._is_vector:
-            return q + motion
-        return np.asarray(pin.integrate(self.robot.model, q, motion))
+        return q + motion if self._is_vector else moved(self.robot, q, motion)
 
     def holding_torque(self, q: Array) -> Array:
         """Return the torque to send to hold the arm at rest, shape (n_v,) [N m or N]."""
@@ -540,7 +570,7 @@ class Plant(Immutable):
         if self.servo is None:
             return command
         a = (command - v) / self.servo.lag
-        tau: Array = np.array(pin.rnea(self.robot.model, self._data, q, v, a))
+        tau = self.dynamics.inverse(q, v, a)
         if self._has_friction:
             tau += self.friction_torque(v)
         limits = self.motor_limits
@@ -550,9 +580,7 @@ class Plant(Immutable):
         return self._acceleration(q, v, self.applied(q, v, command))
 
     def _forward(self, q: Array, v: Array, tau: Array) -> Array:
-        if self._is_coupled:
-            return self.dynamics.forward(q, v, tau)
-        return self._aba(q, v, tau, WORLD)
+        return self.dynamics.forward(q, v, tau)
 
     @property
     def is_exact(self) -> bool:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
@@ -96,7 +95,7 @@ class SensorReadings:
     """
 
     def __init__(self, sensing: Sensing, task: Task, dt: float, seed: int) -> None:
-        self._task, self._model, self._dt = task, task.robot.model, dt
+        self._task, self._dt = task, dt
         self._x_noise, self._x_quantum, self._q_noise, self._q_quantum = sensing.sizes(task)
         self._x_noisy, self._q_noisy = self._x_noise.any(), self._q_noise.any()
         self._dropout, self._filter = sensing.x_dropout, sensing.velocity_filter
@@ -114,16 +113,17 @@ class SensorReadings:
         if self._q_noisy:
             noise = self._q_noise * self._of_q.standard_normal(len(self._q_noise))
         q = encoded(self._task.robot, truth.q, noise, self._q_quantum)
-        v = truth.v if self._filter is None else self._difference(q, self._filter)
-        x, t_x = self._read_x(truth.t, truth.x)
-        return Measurement(truth.t, q, v, x, t_x)
-
-    def _read_x(self, t: float, x: Array) -> tuple[Array, float]:
-        frame = self._frames.next(t)
+        v = truth.v
+        if self._filter is not None:
+            if self._before is not None:
+                slope = motion_between(self._task.robot, self._before, q) / self._dt
+                self._v = filtered(self._v, slope, self._filter, self._dt)
+            self._before, v = q, self._v
+        frame = self._frames.next(truth.t)
         if frame.is_taken:
             noisy = self._x_noisy
             noise = self._x_noise * self._of_x.standard_normal(self._task.m) if noisy else None
-            image = np.array(imaged(self._task, x, noise, self._x_quantum))
+            image = np.array(imaged(self._task, truth.x, noise, self._x_quantum))
             for interval in frame.lost:
                 image[self._lost[interval]] = np.nan
             self._images[frame.kept_at] = image
@@ -131,14 +131,7 @@ class SensorReadings:
             lost = self._dropout and self._of_dropouts.random() < self._dropout
             image = self._images[frame.read_at]
             self._reading = np.full(self._task.n_x, np.nan) if lost else image
-        return self._reading, frame.t_x
-
-    def _difference(self, q: Array, time_constant: float) -> Array:
-        if self._before is not None:
-            slope = pin.difference(self._model, self._before, q) / self._dt
-            self._v = filtered(self._v, slope, time_constant, self._dt)
-        self._before = q
-        return self._v
+        return Measurement(truth.t, q, v, self._reading, frame.t_x)
 
 
 def generator(seed: int, kind: str) -> np.random.Generator:

@@ -215,6 +215,7 @@ class Loop:
             that takes velocities, shape (n_v,).
         stopped: True if an observer stopped it.
         motors: The true motors where joints are not ideal, else None.
+        events: Each `Event` so far in a loop on a robot; those of a simulation are in its record.
     """
 
     truth: Measurement
@@ -224,7 +225,9 @@ class Loop:
     tau: Array
     target: Array
     motors: Motors | None = None
+    events: Sequence[Any] = ()
     _wanted: Target | Array
+    _after: Array  # state after this step
     _knows_truth: ClassVar[bool] = True  # False on a robot
 
     def __init__(
@@ -276,6 +279,10 @@ class Loop:
                 given=controller,
             )
         self.controller = controller
+
+    def relearn(self) -> None:
+        """Begin to learn kinematics anew, as unsure as at first, from the next step on."""
+        self.state = self._after = self.controller.relearnt(self._after)
 
     def stop(self) -> None:
         """End the run at this step."""

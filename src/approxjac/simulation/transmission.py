@@ -1,12 +1,12 @@
 """`Transmission`: rotors, elastic gears and dry friction between motors and links, step by step."""
 
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from approxjac import law
+from approxjac.law.factors import Factors
 from approxjac.robots import Robot
 from approxjac.robots.drives import Drives, Friction, usual_inertia
 from approxjac.validation import Array
@@ -75,7 +75,6 @@ class Transmission:
         tau: Array,
         h: float,
         terms: tuple[Array, Array],
-        solve: Callable[[Any, Any], Any],
         angle: Array | None = None,
     ) -> JointStep:
         """Advance by one step h [s], on numbers or symbols.
@@ -86,7 +85,6 @@ class Transmission:
             tau: Torques of the motors (n_v,).
             h: Step [s].
             terms: M (n_v, n_v) and the bias C q̇ + g (n_v,) of the links, half a step ahead.
-            solve: Function A, b → A⁻¹b of a symmetric A.
             angle: Motion of the links from neutral (n_v,), for `ripple`.
         """
         (M, bias), drives, rigid = terms, self.drives, self.is_rigid
@@ -104,19 +102,22 @@ class Transmission:
             K, D, bend = np.where(meshed, K, 0.0), np.where(meshed, D, 0.0), twist - free
         spring = K * bend + (0.5 * h * K + D) * (w - v)  # at the middle, if the rates stayed
         stiff = h * (0.25 * h * K + 0.5 * D)
-        J = np.asarray(drives.rotor_inertia) + self._viscous_share(h) * h * B
+        J = np.asarray(drives.rotor_inertia)
+        # of viscous friction half is that at the step's end, more where it stops a joint
+        stopped = 1.0 - (J + np.where(rigid, self._usual, 0.0)) / np.maximum(h * B, 1e-300)
+        J = J + np.maximum(0.5, stopped) * h * B
         whole = np.where(rigid, 1.0, J + stiff)  # of a rotor with its spring; not of rigid joints
         share = np.where(rigid, 1.0, stiff / whole)  # of a change of θ̇ that q̇ takes along
         mobility = np.where(rigid, 0.0, 1.0 / whole)
         drive = tau - B * w
-        S = solve(M + np.diag(share * J), np.eye(len(v)))
+        S = _solved(M + np.diag(share * J), np.eye(len(v)))
         dv = S @ (h * ((1.0 - share) * spring + share * drive - bias))
         w_end = w + mobility * h * (drive - spring) + share * dv
         if self.is_dry:
             load = np.abs(np.where(rigid, bias, spring))
             most = h * (self._coulomb(w) + np.asarray(self.friction.load) * load)
             W = np.diag(mobility) + share[:, np.newaxis] * S * share
-            held, w_end = _sticking(W, w_end, most, held, solve, self._guesses)
+            held, w_end = _sticking(W, w_end, most, held, self._guesses)
             dv = dv - S @ (share * held)
         v_end = np.where(rigid, w_end, v + dv)
         turned = twist + 0.5 * h * (w + w_end - v - v_end)
@@ -129,12 +130,6 @@ class Transmission:
         w = np.where(self.is_rigid, w + dv, w)
         return JointStep(v + dv, motors._replace(rate=w, change=motors.change + dv), S)
 
-    def _viscous_share(self, h: float) -> Array:
-        """Return the share of viscous friction at a step's end: ½, more where it stops a joint."""
-        B, inertia = np.asarray(self.friction.viscous), np.asarray(self.drives.rotor_inertia)
-        inertia = inertia + np.where(self.is_rigid, self._usual, 0.0)
-        return np.maximum(0.5, 1.0 - inertia / np.maximum(h * B, 1e-300))
-
     def _coulomb(self, w: Array) -> Array:
         F = np.asarray(self.friction.coulomb)
         if self.friction.stribeck == 1.0:
@@ -143,14 +138,12 @@ class Transmission:
         return F * (1.0 + more * np.exp(-np.abs(w) / self.friction.stribeck_velocity))
 
 
-def _sticking(
-    W: Array,
-    free: Array,
-    most: Array,
-    held: Array,
-    solve: Callable[[Any, Any], Any],
-    guesses: int,
-) -> tuple[Array, Array]:
+def _solved(A: Array, b: Array) -> Array:
+    """Return A⁻¹b of a symmetric A, of numbers or symbols."""
+    return Factors(A).solve(b) if A.dtype.hasobject else np.asarray(np.linalg.solve(A, b))
+
+
+def _sticking(W: Array, free: Array, most: Array, held: Array, guesses: int) -> tuple[Array, Array]:
     """Return impulses |p| ≤ most that stop joints or brake those that slide, and their rates.
 
     Rates are free − W p, W (n_v, n_v) positive definite. Which joints slide, and where to, is found
@@ -164,7 +157,7 @@ def _sticking(
         stands = on == 0.0
         braked = on * most
         A = np.where(stands[:, np.newaxis] & stands, W, eye)
-        p = solve(A, np.where(stands, free - W @ braked, braked))
+        p = _solved(A, np.where(stands, free - W @ braked, braked))
         w = np.where(stands, 0.0, free - W @ p)
         slips = np.where(p > most, 1.0, np.where(p < -most, -1.0, 0.0))
         return np.where(stands, slips, np.where(on * w < 0.0, 0.0, on)), p, w

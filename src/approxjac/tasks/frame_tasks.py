@@ -111,12 +111,6 @@ class FrameKinematics(Immutable):
         J_dot: Array = pin.getFrameJacobianTimeVariation(self._all, self._all_data, frame, _LWA)
         return mimic_joints.columns(J_dot.reshape(6, -1))
 
-    def drift(self, q: Array, v: Array) -> Array:
-        """Return J̇q̇, the frame's acceleration and angular acceleration at q̈ = 0, shape (6,)."""
-        if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
-            return np.asanyarray(arm.drift(self.frame, v))
-        return np.asarray(self.jacobian_dot(q, v).dot(v))
-
     def _placement(self, q: Array) -> pin.SE3:
         pin.forwardKinematics(self._model, self._data, self.robot.configuration(q))
         return pin.updateFramePlacement(self._model, self._data, self._id)

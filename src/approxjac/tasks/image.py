@@ -70,7 +70,10 @@ class ImageTask(Task):
             )
         self.points = _points(((0.0, 0.0, 0.0),) if points is None else points)
         k = len(self.points)
-        self.depth = _depth(depth, k)
+        if isinstance(depth, str) and depth not in ("believed", "measured"):
+            message = f"depth must be 'believed', 'measured' or numbers > 0 [m], got {depth!r}"
+            raise InvalidInputError(message, given=depth)
+        self.depth = depth if isinstance(depth, str) else as_diagonal("depth", depth, k, unit="m")
         measured = isinstance(self.depth, str) and self.depth == "measured"
         self.uses_x = not isinstance(self.depth, str) or measured
         if self.uses_x:
@@ -237,12 +240,3 @@ def _roundness(points: Array) -> float:
     _, extent, axes = np.linalg.svd(about)
     turn = abs(_turn(about @ axes[:2].T))
     return turn if extent[2] < _FLAT * extent[1] and turn > _ROUND else 0.0
-
-
-def _depth(depth: object, k: int) -> str | Array:
-    if not isinstance(depth, str):
-        return as_diagonal("depth", depth, k, unit="m")
-    if depth not in ("believed", "measured"):
-        message = f"depth must be 'believed', 'measured' or numbers > 0 [m], got {depth!r}"
-        raise InvalidInputError(message, given=depth)
-    return depth

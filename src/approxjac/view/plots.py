@@ -82,14 +82,14 @@ def plot_torque(
     return ax
 
 
-def plot_command(run: Trajectory, ax: Axes | None = None, *, title: str | None = None) -> Axes:
+def plot_command(run: Trajectory, ax: Axes | None = None) -> Axes:
     """Draw the command for each joint against time: torques, or velocities."""
     _require_run(run)
     symbol = r"$\tau$" if run.command_kind == "torque" else r"$\dot q$"
     with styled(ax) as ax:
         _over_time(ax, run, run.command, run.joint_names)
-        usual = f"Commanded {run.command_kind} of each joint"
-        ax.set(ylabel=f"{symbol} [{run.units['command']}]", title=usual if title is None else title)
+        title = f"Commanded {run.command_kind} of each joint"
+        ax.set(ylabel=f"{symbol} [{run.units['command']}]", title=title)
     return ax
 
 

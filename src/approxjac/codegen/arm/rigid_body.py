@@ -7,7 +7,7 @@ fold away. With mimic joints all joints move on their own, and q̇_all = G q̇ b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -18,9 +18,7 @@ from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, ar
 from approxjac.codegen.trace.symbols import Graph, Number, Scalar, Symbols, symbols
 from approxjac.law import products
 from approxjac.law.factors import Factors
-from approxjac.law.rotation import cross_matrix
-from approxjac.robots import GravityRegressor, KinematicRegressor, Robot
-from approxjac.robots.kinematic_regressor import PointMotion, TurnMotion
+from approxjac.robots import GravityRegressor, Robot
 from approxjac.robots.robot import own_joints
 from approxjac.validation import Array
 
@@ -158,17 +156,11 @@ class Configured:
     Each link has axes of its own, whose z is that of its joint. Bodies are those of `Reduced`.
     """
 
-    def __init__(
-        self,
-        arm: Arm,
-        q: Symbols,
-        numbers: Reduced | None = None,
-        encoders: Mapping[int, Number] | None = None,  # what is added to joints' angles
-    ) -> None:
+    def __init__(self, arm: Arm, q: Symbols) -> None:
         self.nv = arm.robot.nv
         self.arm, self.q = arm, q
         self.structure = arm.structure  # in common with arms that differ in numbers only
-        self._numbers = numbers = numbers or arm.numbers
+        self._numbers = numbers = arm.numbers
         self.weight = numbers.gravity  # acceleration in the world, shape (3,) [m/s²]
         mimic = arm.robot.mimic_joints  # and q of all joints, shape (nq_all,)
         q = q if mimic.A is None or mimic.b is None else mimic.A @ q + mimic.b
@@ -177,18 +169,16 @@ class Configured:
         each = zip(numbers.masses, numbers.moments, spreads, strict=True)
         self._bodies = [Body(*body) for body in each]
         self._turns: list[tuple[Number, Number]] = []  # cos and sin
-        self._origins, added = list(numbers.translations), encoders or {}
+        self._origins = list(numbers.translations)
         for j in range(self._n):
-            at, more = self.structure.places[j], symbols([added.get(j, 0.0)])
+            at = self.structure.places[j]
             if self.structure.slides[j]:
                 self._turns.append((1.0, 0.0))
                 self._origins[j] = self._origins[j] + numbers.rotations[j][:, 2] * q[at]
             elif self.structure.pairs[j]:
-                (c,), (s,) = np.cos(more), np.sin(more)
-                x, y = q[at], q[at + 1]
-                self._turns.append((c * x - s * y, s * x + c * y))
+                self._turns.append((q[at], q[at + 1]))
             else:
-                angle = q[at : at + 1] + more
+                angle = q[at : at + 1]
                 self._turns.append((np.cos(angle)[0], np.sin(angle)[0]))
 
     # -- kinematics -------------------------------------------------------------------------
@@ -203,85 +193,38 @@ class Configured:
 
     def jacobian(self, name: str) -> Symbols:
         """Return the Jacobian of a frame's velocity and angular velocity in the world, (6, n_v)."""
-        return self.jacobian_of(self.arm.frame(name)[0], self.frame(name)[1])
-
-    def jacobian_of(self, carrier: int, p: Symbols) -> Symbols:
-        """Return the Jacobian, as `jacobian`, of a point p (3,) of a link."""
-        J = _zeros(6, self._n)
-        for j in self.path(carrier):
-            R, origin = self._placements[j]
-            z = R[:, 2]
+        J, p = _zeros(6, self._n), self.frame(name)[1]
+        for j in self.path(self.arm.frame(name)[0]):
+            z, origin = self.axis(j), self._placements[j][1]
             if self.structure.slides[j]:
                 J[:3, j] = z
             else:
                 J[:3, j], J[3:, j] = np.cross(z, p - origin), z
         return self.arm.robot.mimic_joints.columns(J)
 
-    def drift(self, name: str, v: Symbols) -> Symbols:
-        """Return J̇q̇ of `jacobian` for velocities (n_v,), shape (6,)."""
-        carrier, _, p = self.arm.frame(name)
-        if carrier < 0:
-            return _zeros(6)
-        motion = self.motions(v, _zeros(self.nv), _NOTHING)[carrier]
-        R = self._placements[carrier][0]
-        at = motion.a if motion.gradient is None else motion.a + motion.gradient @ p
-        return np.concatenate([R @ at, R @ motion.omega_dot])
-
     def jacobian_dot(self, name: str, v: Symbols) -> Symbols:
         """Return the rate of `jacobian` along q̇ (n_v,), shape (6, n_v)."""
-        return self.jacobian_dot_of(self.arm.frame(name)[0], self.frame(name)[1], v)
-
-    def jacobian_dot_of(
-        self,
-        carrier: int,
-        p: Symbols,
-        v: Symbols,
-        drifts: Mapping[int, Symbols] | None = None,
-        spins: Mapping[int, Symbols] | None = None,
-    ) -> Symbols:
-        """Return the rate, as `jacobian_dot`, of a point p (3,) of a link.
-
-        Origins of joints may move besides, each at a velocity (3,) in the world, and turn at one;
-        and so may the point, whose own velocity is that of -1.
-        """
-        drifts, spins = drifts or {}, spins or {}
         speeds, J_dot, axes = self.arm.robot.mimic_joints.v(v), _zeros(6, self._n), {}
-        spin, rate, origin = _NOTHING, _NOTHING, _NOTHING  # of the link before, at its origin
-        for j in reversed(self.path(carrier)):
+        # of the link before: its angular velocity, and its velocity at a point
+        spin, rate, origin = _NOTHING, _NOTHING, _NOTHING
+        for j in reversed(self.path(self.arm.frame(name)[0])):
             z, begins = self.axis(j), self._placements[j][1]
+            if self.structure.slides[j]:
+                J_dot[:3, j], rate = np.cross(spin, z), rate + z * speeds[j]
+                continue
             rate, origin = rate + np.cross(spin, begins - origin), begins
-            rate, spin = rate + drifts.get(j, _NOTHING), spin + spins.get(j, _NOTHING)
             axes[j] = z, np.cross(spin, z), begins, rate
-            if self.structure.slides[j]:
-                rate = rate + z * speeds[j]
-            else:
-                spin = spin + z * speeds[j]
-        p_dot = rate + np.cross(spin, p - origin) + drifts.get(-1, _NOTHING)
+            spin = spin + z * speeds[j]
+        p = self.frame(name)[1]
+        p_dot = rate + np.cross(spin, p - origin)
         for j, (z, z_dot, begins, begins_dot) in axes.items():
-            if self.structure.slides[j]:
-                J_dot[:3, j] = z_dot
-            else:
-                J_dot[:3, j] = np.cross(z_dot, p - begins) + np.cross(z, p_dot - begins_dot)
-                J_dot[3:, j] = z_dot
+            J_dot[:3, j] = np.cross(z_dot, p - begins) + np.cross(z, p_dot - begins_dot)
+            J_dot[3:, j] = z_dot
         return self.arm.robot.mimic_joints.columns(J_dot)
 
     def axis(self, joint: int) -> Symbols:
         """Return the axis of a joint in the world, shape (3,)."""
         return self._placements[joint][0][:, 2]
-
-    def turned(self, joint: int, vector: Symbols) -> Symbols:
-        """Return a vector (3,) in the world, from the axes in which a joint's link is computed."""
-        return self._placements[joint][0] @ vector if joint >= 0 else vector
-
-    def origin(self, joint: int) -> Symbols:
-        """Return the origin of a joint's moving frame in the world, shape (3,) [m]."""
-        return self._placements[joint][1] if joint >= 0 else _NOTHING
-
-    def axes(self, joint: int) -> Symbols:
-        """Return the axes of a joint's frame in the world, shape (3, 3); -1 is the base."""
-        if joint < 0:
-            return symbols(np.eye(3))
-        return self._placements[joint][0] @ self.structure.turn(joint).T
 
     @cached_property
     def _placements(self) -> list[tuple[Symbols, Symbols]]:
@@ -314,16 +257,9 @@ class Configured:
             )
         return self.arm.robot.mimic_joints.rows(tau)
 
-    def bias(self, v: Symbols) -> Symbols:
-        """Return C(q, q̇) q̇ + g(q) of velocities (n_v,), shape (n_v,) [N m or N]."""
-        return self._moving(self.motions(v, _zeros(self.nv), -self.weight))
-
-    def momentum(self, v: Symbols) -> Symbols:
-        """Return M(q) v of velocities (n_v,), shape (n_v,)."""
-        return self._moving(self.motions(_zeros(self.nv), v, _NOTHING))
-
-    def _moving(self, motions: list[Motion]) -> Symbols:
-        moved = zip(self._bodies, motions, strict=True)
+    def inverse(self, v: Symbols, a: Symbols) -> Symbols:
+        """Return M(q) q̈ + C(q, q̇) q̇ + g(q) of q̇ and q̈ (n_v,), shape (n_v,) [N m or N]."""
+        moved = zip(self._bodies, self.motions(v, a, -self.weight), strict=True)
         return self.torque([force(body, each.a, each.gradient) for body, each in moved])
 
     def motions(self, v: Symbols, a: Symbols, base: Symbols) -> list[Motion]:
@@ -358,31 +294,13 @@ class Configured:
                 forces[parent] = held[0] + f, held[1] + moment
         return self.arm.robot.mimic_joints.rows(tau)
 
-    def reference_torque(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> Symbols:
-        """Return M(q)q̈_r + C(q, q̇)q̇_r + g(q), with C in its Christoffel form, shape (n_v,)."""
-        moved = zip(self._bodies, self.reference_motion(v, v_r, a_r), strict=True)
-        return self.torque([force(body, *motion) for body, motion in moved])
-
-    def reference_motion(
-        self, v: Symbols, v_r: Symbols, a_r: Symbols
-    ) -> list[tuple[Symbols, Symbols]]:
-        """Return a and U of each link whose forces make up `reference_torque`."""
-        middle = self.motions(0.5 * (v + v_r), a_r, -self.weight)
-        apart = self.motions(0.5 * (v - v_r), _zeros(self.nv), _NOTHING)
-        pairs = zip(middle, apart, strict=True)
-        return [(one.a - other.a, one.gradient - other.gradient) for one, other in pairs]
-
     def bodies(self, v: Symbols, v_r: Symbols, a_r: Symbols) -> LearntBodies:
         """Return the links of a reference motion whose parameters are learnt."""
         return LearntBodies(self, v, v_r, a_r)
 
-    def points(self, regressor: KinematicRegressor) -> LearntPoints:
-        """Return the points of a regressor, whose translations are learnt."""
-        return LearntPoints(self, regressor)
-
     def forward(self, v: Symbols, tau: Symbols) -> Symbols:
         """Return q̈ from q̇ and τ (n_v,), shape (n_v,) [rad/s² or m/s²]."""
-        return self.factors.solve(tau - self.bias(v))
+        return self.factors.solve(tau - self.inverse(v, _zeros(self.nv)))
 
     @cached_property
     def factors(self) -> Factors:
@@ -490,123 +408,6 @@ class Configured:
         return path
 
 
-_Ways = dict[int, tuple[Symbols, ...]]
-"""e₁, e₂ and the axis of joints, in the world."""
-
-
-class LearntPoints:
-    """Points of the believed arm at q by numbers that are learnt: see `KinematicRegressor`."""
-
-    def __init__(self, arm: Configured, regressor: KinematicRegressor) -> None:
-        self._given, self._regressor = arm, regressor
-        names = list(arm.arm.robot.mimic_joints.model.names)[1:]
-        self._movers = [names.index(name) for name in regressor.movers]
-        self._turners = [names.index(name) for name in regressor.turners]
-        self._carriers = [arm.arm.frame(name)[0] for name in regressor.frames]
-
-    def _at(self, theta: Symbols) -> tuple[Configured, _Ways]:
-        """Return the arm with θ (p,), and e₁, e₂ and the axis of its turning joints, (3,) each."""
-        given, regressor, of = self._given, self._regressor, self._given.structure
-        placed, angles = self._split(theta)
-        rotations, translations = (each.copy() for each in given.arm.numbers[:2])
-        for i, j in enumerate(self._movers):
-            translations[j] = of.turn(of.parents[j]).T @ placed[i]
-        ways: dict[int, tuple[Symbols, Symbols]] = {}  # in the axes of the link before
-        for j, two, angle in zip(self._turners, regressor.across, angles, strict=True):
-            one, other = (of.turn(j).T @ way for way in two)
-            tilt, then = (_turn(*each) for each in zip((one, other), angle[:2], strict=True))
-            ways[j] = rotations[j] @ one, rotations[j] @ tilt @ other
-            rotations[j] = rotations[j] @ tilt @ then
-        numbers = given.arm.numbers._replace(translations=translations, rotations=rotations)
-        encoders = dict(zip(self._turners, angles[:, 2], strict=True))
-        arm = Configured(given.arm, given.q, numbers, encoders)
-        return arm, {
-            j: (*(arm.turned(of.parents[j], way) for way in two), arm.axis(j))
-            for j, two in ways.items()
-        }
-
-    def _split(self, theta: Symbols) -> tuple[Symbols, Symbols]:
-        lengths, angles = np.split(symbols(theta), [self._regressor.n_lengths])
-        return lengths.reshape(-1, 3), angles.reshape(-1, 3)
-
-    def _point(self, arm: Configured, frame: int, point: Array, theta: Symbols) -> Symbols:
-        carrier, placed = self._carriers[frame], self._split(theta)[0][len(self._movers) + frame]
-        p = arm.origin(carrier) + arm.axes(carrier) @ placed
-        if point.any():
-            p = p + arm.frame(self._regressor.frames[frame])[0] @ point
-        return p
-
-    def linear(self, theta: Symbols) -> tuple[Symbols, Symbols]:
-        """Return Y = ∂p/∂θ at θ (p,), shape (3k, p), and p − Yθ, shape (3k,)."""
-        (arm, ways), rows, points = self._at(theta), [], []
-        for frame, point in self._regressor.points:
-            carrier, none = self._carriers[frame], _zeros(3, 3)
-            path, p = arm.path(carrier), self._point(arm, frame, point, theta)
-            blocks = [
-                arm.axes(arm.structure.parents[j]) if j in path else none for j in self._movers
-            ]
-            ends = [none for _ in self._regressor.frames]
-            ends[frame] = arm.axes(carrier)
-            turns = [
-                np.stack([np.cross(way, p - arm.origin(j)) for way in ways[j]], axis=1)
-                if j in path else none
-                for j in self._turners
-            ]  # fmt: skip
-            rows.append(np.concatenate([*blocks, *ends, *turns], axis=1))
-            points.append(p)
-        Y = np.concatenate(rows)
-        return Y, np.concatenate(points) - Y @ symbols(theta)
-
-    def motion(self, v: Symbols | None, theta: Symbols, theta_dot: Symbols | None) -> PointMotion:
-        """Return positions and derivatives with q̇ (n_v,), θ and θ' (p,); None is at rest."""
-        (arm, ways), n, parts = self._at(theta), len(self._movers), []
-        v, rates, drifts, spins = self._rates(arm, ways, v, theta_dot)
-        for frame, point in self._regressor.points:
-            carrier = self._carriers[frame]
-            path, p = arm.path(carrier), self._point(arm, frame, point, theta)
-            drifts[-1] = arm.axes(carrier) @ rates[n + frame]
-            drift = sum((drifts[j] for j in reversed(path)), _NOTHING) + drifts[-1]
-            for j in path:
-                if j in spins:
-                    drift = drift + np.cross(spins[j], p - arm.origin(j))
-            J_dot = arm.jacobian_dot_of(carrier, p, v, drifts, spins)
-            parts.append((p, arm.jacobian_of(carrier, p)[:3], J_dot[:3], drift))
-        return PointMotion(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-
-    def turn(self, v: Symbols | None, theta: Symbols, theta_dot: Symbols | None) -> TurnMotion:
-        """Return the orientation of the first frame and its derivatives, as `motion` does."""
-        arm, ways = self._at(theta)
-        v, _, _, spins = self._rates(arm, ways, v, theta_dot)
-        carrier, p = self._carriers[0], _NOTHING
-        J, J_dot = arm.jacobian_of(carrier, p), arm.jacobian_dot_of(carrier, p, v, None, spins)
-        A, path = _zeros(3, self._regressor.p), arm.path(carrier)
-        for i, j in enumerate(self._turners):
-            if j in path:
-                at = self._regressor.n_lengths + 3 * i
-                A[:, at : at + 3] = np.stack(ways[j], axis=1)
-        return TurnMotion(arm.frame(self._regressor.frames[0])[0], J[3:], J_dot[3:], A)
-
-    def _rates(
-        self, arm: Configured, ways: _Ways, v: Symbols | None, theta_dot: Symbols | None
-    ) -> tuple[Symbols, Symbols, dict[int, Symbols], dict[int, Symbols]]:
-        """Return q̇, the rates of translations, and those at which origins move and turn."""
-        parents, none = arm.structure.parents, np.zeros(self._regressor.p)
-        rates, angles = self._split(none if theta_dot is None else theta_dot)
-        drifts = {j: arm.axes(parents[j]) @ rates[i] for i, j in enumerate(self._movers)}
-        spins = {
-            j: symbols(sum(way * rate for way, rate in zip(ways[j], spin, strict=True)))
-            for j, spin in zip(self._turners, angles, strict=True)
-        }
-        return _zeros(arm.nv) if v is None else v, rates, drifts, spins
-
-
-def _turn(axis: Symbols, angle: Number) -> Symbols:
-    """Return the rotation (3, 3) by an angle about a unit vector (3,)."""
-    (c,), (s,) = np.cos(symbols([angle])), np.sin(symbols([angle]))
-    K = cross_matrix(axis)
-    return symbols(np.eye(3)) + s * K + (1.0 - c) * (K @ K)
-
-
 class LearntBodies:
     """M(q)q̈_r + C(q, q̇)q̇_r + g(q) = Y a of links whose ten parameters are learnt.
 
@@ -618,7 +419,10 @@ class LearntBodies:
 
     def __init__(self, arm: Configured, v: Symbols, v_r: Symbols, a_r: Symbols) -> None:
         self._arm, self._still = arm, _zeros(arm.nv)
-        self._moved = arm.reference_motion(v, v_r, a_r)  # a wrench is linear in a and U
+        middle = arm.motions(0.5 * (v + v_r), a_r, -arm.weight)
+        apart = arm.motions(0.5 * (v - v_r), self._still, _NOTHING)
+        pairs = zip(middle, apart, strict=True)  # a wrench is linear in a and U
+        self._moved = [(one.a - other.a, one.gradient - other.gradient) for one, other in pairs]
 
     def powers(self, sigma: Symbols) -> Symbols:
         """Return Yᵀσ of σ (n_v,), shape (p,)."""

@@ -110,6 +110,11 @@ def _source(step: SampledStep) -> dict[str, str]:
     begin.append("    memcpy(state->values, begun, sizeof begun);")
     rates = [name for name in ("v", "a") if f"target_{name}" in step.asked]
     finite = (f" && is_finite(target->{name}, {prefix.upper()}_M_X)" for name in rates)
+    wrong_t = ["!is_finite(&now->t, 1)"] if "t" in step.asked else []
+    if "t_x" in step.asked:
+        wrong_t += ["now->t_x > DBL_MAX", "now->t_x - now->t > 1.0"]
+    refused = f"return refused(answer, {prefix.upper()}_REFUSED_T);"
+    t_checks = f"    if (!is_bridged && ({' || '.join(wrong_t)})) {{\n        {refused}\n    }}\n"
     return {
         "lines": "\n".join(lines),
         "stores": "\n".join(stores),
@@ -117,20 +122,9 @@ def _source(step: SampledStep) -> dict[str, str]:
         "helpers": template("power_of_two.c") if "power_of_two" in "".join(lines + begin) else "",
         "q_checks": _q_checks(step),
         "first": "\n".join([*begin, "    (void)now;"]),
-        "t_checks": _t_checks(step),
+        "t_checks": t_checks if wrong_t else "",
         "rate_checks": "".join(finite),
     } | _guarded(step)
-
-
-def _t_checks(step: SampledStep) -> str:
-    wrong = ["!is_finite(&now->t, 1)"] if "t" in step.asked else []
-    if "t_x" in step.asked:
-        wrong += ["now->t_x > DBL_MAX", "now->t_x - now->t > 1.0"]
-    if not wrong:
-        return ""
-    refused = f"return refused(answer, {identifier(step.controller.task.robot.name).upper()}"
-    condition = f"!is_bridged && ({' || '.join(wrong)})"
-    return f"    if ({condition}) {{\n        {refused}_REFUSED_T);\n    }}\n"
 
 
 def _guarded(step: SampledStep) -> dict[str, str]:

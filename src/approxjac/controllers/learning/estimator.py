@@ -3,7 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,40 @@ _NOISE_MEMORY = 2.0  # of the noise that is seen [s]
 _DIFFERENCE = 1e-5  # of values, either way, from which a rate is taken [unit of the task]
 _TURNS_BACK = 10.0  # times as fast as what moves: an error that has jumped, as at half a turn
 _JUMP = 8.0  # standard deviations of x, beyond which it has jumped
+
+
+class Sight(NamedTuple):
+    """A frame as kinematics expect it, in the units of their noise, (m,) numbers.
+
+    Attributes:
+        left: x minus what is predicted, (m,), the first point's place first; NaN where x is lost.
+        H: Derivative of the prediction by what was learnt, shape (m, p).
+        tool: Derivative by a motion of the tool on its flange, along its axes [m], (m, k).
+        tool_turn: The same about its axes [rad], (m, 3) if x is a pose, else (m, 0).
+        shift: Derivative by a motion of all that is seen along the sensor's axes [m], (m, d).
+        turn: The same about the sensor's origin [rad], (m, 0) where x does not show it.
+    """
+
+    left: Array
+    H: Array
+    tool: Array
+    tool_turn: Array
+    shift: Array
+    turn: Array
+
+
+class Expectation(NamedTuple):
+    """What a state expects of frames to come.
+
+    Attributes:
+        covariance: Covariance of what was learnt, shape (p, p).
+        noise: Standard deviation of x, with what is not explained.
+        sight: Function of a frame.
+    """
+
+    covariance: Array
+    noise: float
+    sight: Callable[[Measurement], Sight]
 
 
 class Kinematics(Immutable, ABC):
@@ -122,6 +156,13 @@ class Kinematics(Immutable, ABC):
     def left_over(self, state: Array) -> Array:
         """Return the residual of the last x, (m,) in its units, or an empty array without one."""
         return np.zeros(0)
+
+    def relearnt(self, state: Array) -> Array:
+        """Return a state that learns anew, about what it has learnt and as unsure as at first.
+
+        By default the state, for kinematics that do not learn.
+        """
+        return state
 
     def robot(self, state: Array) -> Robot:
         """Return the believed robot with the tool and joint origins that a state has learnt.
@@ -362,6 +403,10 @@ class Estimator(Kinematics):
         share = since / np.minimum(noted[0] + 0.3, _NOISE_MEMORY)
         noted[2] += share * (0.5 * change.dot(change) / np.maximum(n, 1.0) - noted[2])
 
+    @abstractmethod
+    def _renew(self, state: Array) -> None:
+        """Begin to learn anew in place, about what was learnt, as unsure as at first."""
+
     def _forget(self, state: Array) -> None:
         noted = state[self._at["noted"]]
         noted[0], noted[1] = 0.0, noted[1] + 1.0
@@ -397,6 +442,29 @@ class Estimator(Kinematics):
         for part in self._kept:
             fresh[part] = state[part]
         return fresh
+
+    def relearnt(self, state: Array) -> Array:
+        state = self._required(state).copy()
+        self._renew(state)
+        return state
+
+    def last_frame(self, state: Array, measurement: Measurement) -> Measurement | None:
+        """Return the last frame that a state has seen before a measurement; None without one.
+
+        It has the t, q and q̇ at which it was taken; None is also for one that the gate rejected.
+        """
+        at = self._at
+        if state[at["gate"]][-2] == 0.0:
+            return None
+        return self._frames.last(state[at["frames"]].copy(), measurement, self._late(state))
+
+    def expectation(self, state: Array) -> Expectation | None:
+        """Return what a state expects of frames; None, the default, if it cannot be told."""
+        return None
+
+    def seconds(self, state: Array) -> float:
+        """Return the time covered by frames since learning last began [s]."""
+        return float(state[self._at["noted"]][0])
 
     def learnt(self, state: Array) -> Array:
         return state[..., self._at["learnt"]]
@@ -537,6 +605,16 @@ class Frames:
         law.alter(is_noted, head, note)
         frame = Measurement(taken, q, v, np.where(seen, x, math.nan), taken - then)
         return frame, is_noted & is_known
+
+    def last(self, numbers: Array, measurement: Measurement, late: float) -> Measurement | None:
+        """Return the last frame as `new` did, from a copy of the numbers; None if it is unknown."""
+        x, taken = numbers[: self._n_x], float(numbers[self._n_x])
+        measurement = self.by_own_clock(numbers, measurement, 0.0)
+        then = min(taken - late, measurement.t)
+        if taken <= _LONG_AGO or then <= self._ring(numbers)[0, 0]:
+            return None
+        q, v = self._at(numbers, then, measurement)
+        return Measurement(taken, q, v, np.where(x == 0.0, math.nan, x), taken - then)
 
     def _at(self, numbers: Array, t: Any, measurement: Measurement) -> tuple[Array, Array]:
         """Return q and q̇ at a time [s] not longer ago than is known; else those of now."""

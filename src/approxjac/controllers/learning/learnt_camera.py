@@ -74,6 +74,7 @@ class AdaptiveCamera(Estimator):
         noise: Standard deviation of x [px].
         delay: As for `AdaptiveKinematics`.
         dt: As for `AdaptiveKinematics`.
+        restarts: As for `AdaptiveKinematics`.
 
     Attributes:
         names: Names of the learnt numbers, such as "tool.x", "points.x", "camera.x", "camera.rz"
@@ -95,8 +96,10 @@ class AdaptiveCamera(Estimator):
         noise: float = 0.5,
         delay: float = 0.0,
         dt: float = 1e-3,
+        restarts: bool = True,
     ) -> None:
         _require_image(task)
+        self._restarts = restarts
         self._camera: PinholeCamera = task.camera  # type: ignore[assignment]
         camera = self._camera
         where = "tool" if camera.mount is None else "points"
@@ -263,10 +266,8 @@ class AdaptiveCamera(Estimator):
         H, o = self._watched(frame.q)
         keys, explained, noted = state[at["keys"]], state[at["explained"]], state[at["noted"]]
         unlike = np.abs(state[at["averaged"]] * self._pixels).max() > _CHANGED * self.noise
-        if is_anew or (unlike and explained[0]):  # what was learnt before is contradicted
-            keys = estimator.about(estimator.estimate(keys))
-            explained[0] = 0.0
-            self._forget(state)
+        if self._restarts and (is_anew or (unlike and explained[0])):  # what was learnt is false
+            self._renew(state)
         state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
         estimate = estimator.estimate(keys)
         u, R, p, stretch = _parts(estimate)
@@ -278,6 +279,12 @@ class AdaptiveCamera(Estimator):
         self._account(state, left.ravel(), since)
         if noted[0] > _SETTLED and keys[-2] < _EXPLAINED:
             explained[0] = 1.0
+
+    def _renew(self, state: Array) -> None:
+        keys = state[self._at["keys"]]
+        keys[:] = self._estimator.about(self._estimator.estimate(keys))
+        state[self._at["explained"]] = 0.0
+        self._forget(state)
 
     def _aim(self, state: Array, q: Array, dt: float) -> None:
         # all follow, and the camera such that the points at q do

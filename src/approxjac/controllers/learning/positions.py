@@ -11,7 +11,12 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_rotation
-from approxjac.controllers.learning.estimator import Estimator, motion_of_points
+from approxjac.controllers.learning.estimator import (
+    Estimator,
+    Expectation,
+    Sight,
+    motion_of_points,
+)
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
@@ -40,6 +45,7 @@ _NOISY = 0.3  # of the arm's reach, or of a metre, above which noise is in milli
 _FORGETTING = 1.0 / 30.0  # λ [1/s]
 _MEMORY = 15.0  # of χ² [s]
 _CHANGED = 3e-3, 9.0  # averaged residual [m], and in its sd: another sensor or tool
+_UNLIKE = 16.0  # χ² that counts as noise, at most
 _WORST = 4.0  # χ² above which no more is passed over
 _BELIEVED = 5.0  # of frames after which what was learnt is a belief when learning begins anew [s]
 _NO_TIME = 1e-12  # of an average's share
@@ -60,7 +66,8 @@ class AdaptiveKinematics(Estimator):
     absorbs what the parameters do not explain.
 
     Frames are paired with the configuration at which they were taken. A jump of the sensor is
-    ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts.
+    ignored; if it persists, as after the sensor moved or the tool slipped, learning restarts unless
+    `restarts` is False.
 
     For a pose it also learns the orientation R̂_x = R̂ R_f(q) T̂, with the rotation T̂ of the tool.
     For a `PlanarCamera` images cannot distinguish a wrong magnification from lengths that are wrong
@@ -87,6 +94,9 @@ class AdaptiveKinematics(Estimator):
         angle_noise: Standard deviation of the orientation of a pose [rad].
         prior: A calibration to begin with, of the arm as drawn or as calibrated: its numbers are
             unknown, too, by its covariance, but for kinds in `sd`: with "tool" it is another tool.
+        restarts: True to begin anew, about what was learnt and as unsure as at first, where x
+            contradicts it; False to go on: the integral offset absorbs the change, the parameters
+            follow slowly, and `Controller.relearnt` begins anew.
 
     Attributes:
         regressor: p(q, θ) of the points.
@@ -110,7 +120,9 @@ class AdaptiveKinematics(Estimator):
         dt: float = 1e-3,
         angle_noise: float = 5e-3,
         prior: KinematicBelief | None = None,
+        restarts: bool = True,
     ) -> None:
+        self._restarts = restarts
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
         require("prior", prior, (KinematicBelief, type(None)), "a Calibration, or None")
         kinds = (*chosen_kinds(unknown, _KINDS), *(prior.kinds if prior else ()))
@@ -144,6 +156,12 @@ class AdaptiveKinematics(Estimator):
         in_order = rows == list(range(3 * self.regressor.k))
         self._rows: slice | Array = slice(None) if in_order else np.array(rows)
         self._n_p, self._n_theta = len(rows), len(moved.u)
+        # What the last encoder is off by turns the tool only: learnt beside one, it would be taken
+        # as seen, as H is about a tool that is not known at first. So the tool is learnt as turned.
+        self._turned_tool: int | None = None
+        last, is_new = self.regressor.movers[-1], prior is None and len(frames) == 1
+        if is_new and "tool" in kinds and f"{last}.encoder" in moved.names:
+            self._turned_tool = moved.names.index(f"{last}.encoder")
         units, Theta = dict(zip(moved.names, moved.units, strict=True)), [moved.u]
         deviations = [moved.sd]
         # The axes of R_x = R R_f(q) T are points ℓ R_x e_k, linear in nine numbers, to which T is
@@ -165,7 +183,7 @@ class AdaptiveKinematics(Estimator):
 
         # c = Rᵀb: the offset, learnt or known
         c, each = R.T.dot(b), np.eye(d)[[axes.index(axis) for _, axis in entries]]
-        self._offsets, self._constant = np.zeros((len(rows), 0)), each.dot(c)
+        self._along, self._offsets, self._constant = each, np.zeros((len(rows), 0)), each.dot(c)
         if self._turns or "offset" in kinds:
             self._offsets, self._constant = each, np.zeros(len(rows))
             units |= {f"offset.{axis}": "m" for axis in axes}
@@ -222,6 +240,8 @@ class AdaptiveKinematics(Estimator):
         """
         H, known = self._moved.at(q, u[: self._n_theta])
         H, known = H[self._rows], known[self._rows] + self._constant
+        if self._turned_tool is not None:
+            H[:, self._turned_tool] = 0.0
         others = np.zeros((len(H), self._n_u - self._n_theta))
         return np.concatenate([H, others], axis=1) if others.size else H, known
 
@@ -249,6 +269,8 @@ class AdaptiveKinematics(Estimator):
         if self._moved.is_angle.any():  # axes turn about those of tilted joints
             shown = known_axes.reshape(3, 3)
             of_axes[:, :at] = np.cross(turn.A.T[:, np.newaxis], shown).reshape(at, 9).T
+            if self._turned_tool is not None:
+                of_axes[:, self._turned_tool] = 0.0
             known_axes = known_axes - of_axes[:, :at].dot(u[:at])
         if self._learns_late:
             shown = axes.dot(T).reshape(3, 3)
@@ -283,11 +305,13 @@ class AdaptiveKinematics(Estimator):
 
     def _merged(self, P: Array, Theta: Array) -> Array:
         """Return a covariance of what is estimated as that of `names`: nine numbers are a turn."""
+        M, start = np.eye(len(P)), self._n_theta
+        if (encoder := self._turned_tool) is not None:
+            axis, tool = self.regressor.across[-1][2], np.flatnonzero(self._moved.is_tool)
+            M[tool, encoder] = -np.cross(axis, Theta[tool])
         if not self._learns_T:
-            return P
-        start = self._n_theta
+            return np.asarray(M.dot(P).dot(M.T))
         end = start + 9
-        M = np.eye(len(P))
         tangents = law.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
         # the rotation vector that small changes of the nine turn T by
         M[start : start + 3, start:end] = 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
@@ -332,7 +356,8 @@ class AdaptiveKinematics(Estimator):
         # what was not explained all along is no news
         unexplained = np.sqrt(np.minimum(np.maximum(chi[0], 1.0), _WORST))
         changed = unexplained * np.maximum(_CHANGED[0], _CHANGED[1] * usual)
-        law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
+        if self._restarts:
+            law.alter(is_anew | (np.abs(averaged).max() > changed), state, self._renew)
         u = self._estimator.estimate(state[at["sums"]])[0]
         H, known = self._regression(frame.q, frame.v, u, frame.t_x)
         # what is lost has no part in the sums
@@ -508,6 +533,64 @@ class AdaptiveKinematics(Estimator):
             return np.asarray(self._size * np.sqrt(np.maximum((J.dot(P) * J).sum(axis=1), 0.0)))
 
         return sd
+
+    @cached_property
+    def _whole(self) -> tuple[KinematicRegressor, Array]:
+        """A regressor with axes, and the plausible errors of those that are not learnt."""
+        if self.regressor.turners:
+            return self.regressor, np.zeros(0)
+        whole = KinematicRegressor(self.task.robot, self.regressor.frames, axes=True)
+        sds = [_USUAL_SD["encoders" if n.endswith(".encoder") else "axes"] for n in whole.names]
+        return whole, np.array(sds[whole.n_lengths :])
+
+    def expectation(self, state: Array) -> Expectation:
+        at, d, n_p, n_u = self._at, self._d, self._n_p, self._n_u
+        sums, R_u, (whole, angles) = state[at["sums"]], slice(self._n_theta), self._whole
+        chi, (Theta, R) = max(float(state[at["chi"]][0]), 1.0), self._estimator.estimate(sums)
+        usual = max(self.noise**2, float(state[at["noted"]][2]))
+        P = (chi * usual / self.noise**2) * self._estimator.covariance(sums)
+        if self._moved.is_angle.any():
+            usual += self._moved.bent(P.diagonal()[R_u])
+        theta, c = np.append(self._moved.theta(Theta[R_u]), np.zeros(len(angles))), Theta[n_u:]
+        T = _rotation_of(Theta[R_u.stop : R_u.stop + 9]) if self._learns_T else np.eye(3)
+        first, lengths = whole.n_lengths - 3 * len(whole.frames), whole.n_lengths
+        is_whole = d > 1 and np.array_equal(self._along, np.tile(np.eye(d), (n_p // d, 1)))
+        turns = law.generators(d) if is_whole else np.zeros((0, d, d))
+        still = np.zeros(self.task.robot.nv), np.zeros(len(theta))
+
+        def turned(M: Array) -> Array:
+            if not self._is_turned:
+                return M
+            return (R @ M.reshape(-1, d, M.shape[1])).reshape(M.shape)
+
+        def along(turns: Array, x: Array) -> Array:
+            return np.einsum("sij,kj->kis", turns, x.reshape(-1, d)).reshape(len(x), len(turns))
+
+        def sight(frame: Measurement) -> Sight:
+            q = frame.q
+            H, o = self._regression(q, frame.v, Theta[:n_u], frame.t_x)
+            x_hat, H = self._turned(R, o + H.dot(Theta)), turned(H)
+            if len(c):  # c = Rᵀb, and b keeps its place where R turns
+                H[:, n_u:] = H[:, n_u:].dot(R.T)
+            more = ((0, len(x_hat) - n_p), (0, 0))
+            Y = np.pad(turned(whole.linear(q, theta)[0][self._rows]), more)
+            turn, tool_turn = along(turns, x_hat), np.zeros((len(x_hat), 0))
+            if self._turns:
+                b = np.pad(self._along.dot(R.dot(c)), more[0])
+                H = np.hstack([H, along(turns, x_hat - b)])
+            if self._is_pose:
+                R_f, _, _, A = whole.turn(q, still[0], theta, still[1])
+                axes = (R.dot(R_f) @ law.generators(3) @ T).transpose(2, 1, 0).reshape(9, 3)
+                tool_turn = np.concatenate([np.zeros((n_p, 3)), self._l * axes])
+                Y[n_p:] = along(turns, x_hat[n_p:]).dot(R.dot(A))
+            H = np.hstack([H, Y[:, lengths:] * angles]) if len(angles) else H
+            left, shift = self._points(frame.x) - x_hat, np.pad(self._along, more)
+            return Sight(left, H, Y[:, first:lengths], tool_turn, shift, turn)
+
+        n = len(P)
+        covariance = np.eye(n + len(angles))
+        covariance[:n, :n] = P
+        return Expectation(covariance, math.sqrt(usual * min(chi, _UNLIKE)), sight)
 
     def _is_state(self, state: Array) -> bool:
         sums = state[self._at["sums"]]

@@ -55,7 +55,7 @@ class LimitTerms:
 
     def drift(self, frame: str | None = None) -> Array:
         """Return J̇q̇ of a frame, shape (6,): its acceleration is Jq̈ + J̇q̇."""
-        return self._of(frame).drift(self.q, self.v)
+        return np.asanyarray(self._of(frame).jacobian_dot(self.q, self.v).dot(self.v))
 
     def stay_above(
         self, value: Any, J: Any, drift: Any, returning: float = np.inf

@@ -434,18 +434,14 @@ class TorqueLimited(ControllerWrapper):
         # or θ̂ would ask for ever more than the motors have
         has_room = not (np.abs(answer.torque) > self._upper).any()
         if status in (_GIVEN_UP, _LIMITED) and answer.status in _LEARNS and has_room:
-            locked = self._locked(measurement, torque)
+            motion = positions_at(self.task.robot, measurement.q)
+            low, high = np.asarray(self.limits.position)
+            locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
+            locked |= np.abs(measurement.v) > _NEARLY * np.asarray(self.limits.velocity)
+            locked |= np.abs(torque) > _NEARLY * self._upper
             if locked.any():
                 after[:p] += dt * self._law.rate_without(locked, state, measurement, answer)
         return after
-
-    def _locked(self, measurement: Measurement, torque: Array) -> Array:
-        motion = positions_at(self.task.robot, measurement.q)
-        low, high = np.asarray(self.limits.position)
-        locked = (motion < low + _AT_LIMIT) | (motion > high - _AT_LIMIT)
-        locked |= np.abs(measurement.v) > _NEARLY * np.asarray(self.limits.velocity)
-        locked |= np.abs(torque) > _NEARLY * self._upper
-        return np.asarray(locked)
 
     def rows(self, measurement: Measurement) -> law.Rows:
         """Return the bounds of motion at a configuration and speed."""

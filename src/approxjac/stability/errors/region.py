@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
+from approxjac import law
 from approxjac.controllers import Controller, SetpointController
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import numbers, short
+from approxjac.law.factors import Factors
 from approxjac.robots import Robot
-from approxjac.robots.traced import moved
+from approxjac.robots.traced import motion_between, moved
 from approxjac.tasks import Task
 from approxjac.tasks.analysis import sees
 from approxjac.validation import Array, as_entries, as_number, require
@@ -43,7 +44,7 @@ class Region(ABC):
 
     @abstractmethod
     def contains(self, q: Array) -> bool:
-        """Return True if a configuration (nq,) belongs to the region."""
+        """Return True if a configuration (nq,) belongs to the region; lanes trace it."""
 
     def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
         """Return a configuration (nq,) of the region near q (nq,), about `size` spreads away."""
@@ -55,7 +56,7 @@ class Region(ABC):
 
     def _away(self, q: Array, other: Array) -> Array:
         other = other if np.shape(other) == (self.robot.nq,) else self.robot.configuration(other)
-        return np.asarray(pin.difference(self.robot.model, q, other))
+        return motion_between(self.robot, q, other)
 
 
 class JointBox(Region):
@@ -125,7 +126,8 @@ class JointBox(Region):
         return np.array([moved(self.robot, self.center, motion) for motion in motions])
 
     def contains(self, q: Array) -> bool:
-        return bool((abs(self._away(self.center, q)) <= self.upper + 1e-12).all())  # lower: −upper
+        away = np.abs(self._away(self.center, q))
+        return law.all_of(away <= self.upper + 1e-12)  # lower is −upper
 
     def __str__(self) -> str:
         if self._whole:
@@ -177,10 +179,15 @@ class RegularPart(Region):
         return np.array(drawn)
 
     def contains(self, q: Array) -> bool:
-        return self._is_regular(q) and self.region.contains(q)
+        return self._is_regular(q) & self.region.contains(q)
 
     def _is_regular(self, q: Array) -> bool:
-        return bool(np.linalg.svd(self.task.jacobian(q), compute_uv=False)[-1] >= self.sigma_min)
+        J = self.task.jacobian(q)
+        if type(J) is np.ndarray:
+            return bool(np.linalg.svd(J, compute_uv=False)[-1] >= self.sigma_min)
+        G = J @ J.T if J.shape[0] <= J.shape[1] else J.T @ J
+        pivots = Factors(G - self.sigma_min**2 * np.eye(len(G))).pivots
+        return law.all_of(law.array(pivots) > 0.0)  # one is not, where an eigenvalue is not
 
     def __str__(self) -> str:
         return f"{self.region}, where sigma_min >= {self.sigma_min:.3g}"

@@ -34,6 +34,7 @@ _NONE = 1e-4  # of the width of a range: an end that is nearer to 0 is written a
 _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for [rad]
 _LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
+_OPTICS = "camera focal_length", "camera distance", "camera roll"  # some make no camera
 _LOOKS = 16  # configurations at which effects of learnt numbers are compared
 _STEP = 1e-5  # of a difference, either way [m or rad]
 _SMALL = 1e-6  # difference of numbers of the same arm [m or rad], or share that is nothing
@@ -124,6 +125,21 @@ def _camera_range(camera: Camera | None, name: str, given: Any) -> list[Coordina
     return _as_range(name, given, *camera.calibration[name], of="camera ")
 
 
+def _camera_bounds(
+    camera: Camera | None, name: str, given: Any, count: int, unit: str
+) -> list[Coordinate]:
+    if given is None:
+        return []
+    known, bounds = [], as_array(name, given, (count,), unit)
+    if (bounds < 0.0).any():
+        message = f"{name} must be >= 0 [{unit}], to either side, got {bounds.tolist()}"
+        raise InvalidInputError(message, given=given)
+    for axis, bound in zip("xyz", bounds.tolist(), strict=False):
+        if bound > 0.0:
+            known += _camera_range(camera, f"{name} {axis}", (-bound, bound))
+    return known
+
+
 def _described(name: str, value: float, unit: str) -> str:
     """A coordinate at a value, such as "camera roll 0.349 rad (20.0 deg)"."""
     value += 0.0  # of -0 makes 0
@@ -161,7 +177,7 @@ class Uncertainty:
             the parent link, shape (3,) [m]; an axis with 0 is certain.
         joint_rotations: Joint name → the same for the rotation vector in the joint's own frame,
             shape (3,) [rad].
-        camera: The believed camera, if the task is an image. The next three ranges are of its
+        camera: The believed camera, if the task is an image. The next five attributes are of its
             `calibration`, in its units.
         focal_length: Smallest and largest true focal length: of a `PlanarCamera` [m], f_x of a
             `PinholeCamera` [px] (f_y along with it).
@@ -170,6 +186,11 @@ class Uncertainty:
             with 0 believed.
         roll: Smallest and largest true roll about the optical axis [rad]: of a `PinholeCamera`
             relative to the believed one, with 0 believed.
+        tilt: Largest error of the optical axis of a `PinholeCamera` to either side about its axes
+            right and down, as a rotation vector, shape (2,) [rad]; a camera rolls about the tilted
+            axis.
+        shift: Largest error of the position of a `PinholeCamera` to either side along its axes
+            right, down and forward, shape (3,) [m].
         covariance: Calibration of the arm, whose numbers have errors by their covariance: normal
             in draws, and with corners on its ellipsoid.
         confidence: Share of these draws in the ellipsoid.
@@ -205,6 +226,8 @@ class Uncertainty:
     focal_length: tuple[float, float] | None = None
     distance: tuple[float, float] | None = None
     roll: tuple[float, float] | None = None
+    tilt: Sequence[float] | Array | None = None
+    shift: Sequence[float] | Array | None = None
     covariance: KinematicBelief | None = None
     confidence: float = 0.95
     friction: float | Sequence[float] | Array | Friction = 0.0
@@ -239,6 +262,8 @@ class Uncertainty:
                     given.append(Coordinate(f"{joint} {kind} {axis}", unit, 0.0, -bound, bound))
         for name in ("focal_length", "distance", "roll"):
             given += _camera_range(self.camera, name, getattr(self, name))
+        given += _camera_bounds(self.camera, "tilt", self.tilt, 2, "rad")
+        given += _camera_bounds(self.camera, "shift", self.shift, 3, "m")
         as_number("confidence", self.confidence, above=0.0, most=1.0 - _SMALL)
         if (learnt := self._learnt) is not None:
             each = zip(learnt.names, learnt.units, self._radius * learnt.sd, strict=True)
@@ -250,7 +275,7 @@ class Uncertainty:
                 for end in known[-2:]:
                     as_size(known.name, end, known.unit)
         self.plant(self.believed)  # refuses what fits no such robot: a task, an axis, joints
-        corners = (k[-2:] if k.name.startswith("camera ") else (k[2],) for k in self._coordinates)
+        corners = (k[-2:] if k.name in _OPTICS else (k[2],) for k in self._coordinates)
         for corner in itertools.product(*corners):  # where a camera is first none
             try:
                 self.plant(corner)

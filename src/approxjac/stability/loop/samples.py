@@ -116,13 +116,10 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         program.step(vars(terms))
         self._lanes = LlvmLanes(program, effort=0)
-        self._require_alike(plants, task)
-
-    def _require_alike(self, plants: Sequence[Plant], task: Task) -> None:
-        robot = task.robot
-        drawn = [robot.random_configuration(np.random.default_rng(k)) for k in range(len(plants))]
-        x_d = np.tile(task.origin, (len(plants), 1))
-        terms = self.at(self.numbers(plants), np.array(drawn), x_d)
+        drawn = [*task.robot.configurations(len(plants))]
+        terms = self.at(
+            self.numbers(plants), np.array(drawn), np.tile(task.origin, (len(plants), 1))
+        )
         for plant, q, x, J in zip(plants, drawn, terms.x, terms.J, strict=True):
             for one, other in ((x, plant.sensor.value(q)), (J, plant.sensor.sensor_jacobian(q))):
                 if not np.allclose(one, other, _ALIKE, _ALIKE, equal_nan=True):

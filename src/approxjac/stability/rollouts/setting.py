@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.arm import traced_tasks as tasks
-from approxjac.codegen.lanes import OUTCOME, Box, Lanes, LaneStart
+from approxjac.codegen.lanes import OUTCOME, Lanes, LaneStart
 from approxjac.codegen.loop_program import loop_key
 from approxjac.controllers import SetpointController
 from approxjac.controllers.controller import Controller
 from approxjac.errors import InvalidInputError, SimulationError, package_of, require_known
 from approxjac.simulation import Computation, Plant, Sensing, Trajectory, simulate
 from approxjac.simulation.simulate import Wanted, target_at, whole, x_of
-from approxjac.stability.errors.region import JointBox, Region, RegularPart
+from approxjac.stability.errors.region import Region
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.configurations import UnattainedError, VisiblePart
 from approxjac.validation import Array
@@ -127,25 +127,6 @@ class RolloutSetting:
     reason: str = ""
     key: bytes = b""
     alike: tuple[tuple[Controller, Uncertainty], ...] = ()
-
-    def _box(self) -> Box:
-        if not self.uncertainty.makes_the_robots:
-            raise InvalidInputError(
-                "uncertainty must be one whose plant and robot are those of Uncertainty for "
-                f"lanes, got {type(self.uncertainty).__name__}: {self.uncertainty!r}",
-                given=self.uncertainty,
-            )
-        part = self.region
-        region, task, sigma_min = part, None, 0.0
-        if type(part) is RegularPart:
-            region, task, sigma_min = part.region, part.task, part.sigma_min
-            tasks.frames(task)  # or refuse it
-        if type(region) is not JointBox:
-            raise InvalidInputError(
-                f"region must be a JointBox, or the RegularPart of one, for lanes, got {region!r}",
-                given=region,
-            )
-        return Box(region.center, region.lower, region.upper, task, sigma_min)
 
     @property
     def steps(self) -> int:
@@ -300,7 +281,13 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
     """Return the loop of a setting, made once in each process, or refuse it."""
     with _compiling:
         if setting.key not in _lanes:
-            box = setting._box()
+            if not setting.uncertainty.makes_the_robots:
+                kind = type(setting.uncertainty).__name__
+                raise InvalidInputError(
+                    "uncertainty must be one whose plant and robot are those of Uncertainty for "
+                    f"lanes, got {kind}: {setting.uncertainty!r}",
+                    given=setting.uncertainty,
+                )
             while len(_lanes) >= _COMPILED:
                 del _lanes[next(iter(_lanes))]
             examples = []
@@ -310,7 +297,7 @@ def _lanes_of(setting: RolloutSetting) -> Lanes:
                 frames = tasks.frames(errors.nominal.sensor)
                 examples += [each.lane_start(law, frames) for each in starts]
             _lanes[setting.key] = Lanes(
-                law, starts[0].plant, examples, box, setting.dt, setting.steps,
+                law, starts[0].plant, examples, setting.region, setting.dt, setting.steps,
                 setting.accuracy,
                 path=None if isinstance(setting.target, np.ndarray) else setting.target,
             )  # fmt: skip
