@@ -383,21 +383,6 @@ def test_a_compiled_run_of_springs_at_a_stop_is_that_of_python(panda):
         assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-10)
 
 
-def test_a_compiled_cart_meets_its_stop_in_long_periods_as_in_python(rail):
-    """Of which the plant makes several steps: a stop pushes for one of these."""
-    plant, dt = aj.Plant(rail, aj.PositionTask(rail, axes="x"), drives=Drives(0.7, 900.0)), 7e-3
-    law = aj.SetpointController(plant.sensor, aj.Gains(400.0, 9.0, 2.0))
-    ours, theirs = (
-        aj.simulate(
-            plant, law, [5.6], [4.97], 90 * dt, dt=dt, computation=Computation(engine=engine)
-        )
-        for engine in ("python", "compiled")
-    )  # fmt: skip
-    assert list(ours.at_stops) == ["slide"]
-    for name in ("q", "v", "twist", "motor_v"):
-        assert_allclose(getattr(theirs, name), getattr(ours, name), atol=1e-9)
-
-
 @pytest.mark.study
 @pytest.mark.parametrize(
     "kind",
