@@ -484,3 +484,16 @@ def test_poses_of_a_real_camera_are_predicted(panda):
     )
     assert found.held_out < 1.7e-3
     assert found.held_out < 0.45 * np.mean([each.drawing for each in found.places])
+
+
+def test_the_distance_of_the_only_two_sockets_counts(true_arm):
+    recordings, apart = sockets(true_arm, 9, places=1, rows=6)
+    regressor = KinematicRegressor(true_arm.believed, axes=True)
+    unknowns = Unknowns(regressor, KINDS, USUAL_SD)
+    samples = Recorded.of([each.of(true_arm.believed) for each in recordings])
+    (pair,) = apart
+    for distance in (0.05, 0.07):
+        fit = Fit(unknowns, samples, {pair: distance}, 1.0)
+        fit.solved()
+        one, other = (fit._c[name] for name in pair)
+        assert np.linalg.norm(one - other) == pytest.approx(distance, abs=2e-4)
