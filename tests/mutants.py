@@ -145,6 +145,30 @@ MUTANTS = [
         "> _TOUCHES).mean(axis=0)", "> _TOUCHES).max(axis=0)",
         "tests/simulation/test_trajectory.py",
     ),
+    (
+        "two errors of sensors are drawn alike", "simulation/sensing.py",
+        "spawn_key=(i,) if i else ()", "spawn_key=() if i else (i,)",
+        "tests/simulation/test_sensing.py",
+    ),
+    (
+        "a motion is left out row by row", "calibration/calibrate.py",
+        "// len(rows) if is_motion else", "// len(rows) if not is_motion else",
+        "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "a file of one row has no delimiter", "calibration/recording.py",
+        '";" in lines[0]', '";" in lines[1]', "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "a map's rows are its columns", "stability/search/map.py",
+        "for each in self.values]).T", "for each in self.values][::-1])",
+        "tests/stability/test_map.py",
+    ),
+    (
+        "a loop that is certified in continuous time has no function", "stability/report/report.py",
+        "self.sampled.margin <= 0.0 and nowhere", "self.sampled.margin <= 0.0 or nowhere",
+        "tests/stability/test_report.py",
+    ),
     # -- errors of a camera
     (
         "a camera rolls before it tilts", "cameras/camera.py",

@@ -736,3 +736,28 @@ def test_joints_beyond_their_limits_are_named(report):
         vars(found)["attraction"] = None
         row = by_name(found).get(("beware", "joint limits"))
         assert (row and row.figures) == beyond
+
+
+@pytest.mark.parametrize(
+    ("sampled", "continuous", "violations", "reason"),
+    [(1.0, 1.0, 0, ""), (1.0, -1.0, 0, ""), (1.0, 1.0, 1, "violated"), (-1.0, 1.0, 0, "too slow"),
+     (-1.0, -1.0, 0, "none"), (None, 1.0, 0, "learnt"), (None, -1.0, 0, "learnt, none")],
+)  # fmt: skip
+def test_why_it_is_not_certified(report, sampled, continuous, violations, reason):
+    """Of the signs of margins in samples and in continuous time, and what was found elsewhere."""
+    of_time = {
+        name: replace(test, margins=continuous * np.ones(9), violations=0)
+        for name, test in report.matrix.items()
+    }
+    tests = {"sampled": None, "matrix": of_time}
+    if sampled is not None:
+        margins = np.array([sampled, 2.0])
+        tests["sampled"] = replace(report.sampled, margins=margins, violations=violations)
+    found = replace(report, **tests)
+    vars(found)["attraction"] = None
+    assert not found.theorem1.holds
+    assert found.reason == reason
+    assert found.rows[0].verdict == {"": "yes", "learnt": "in continuous time only"}.get(
+        reason, "no"
+    )
+    assert (found.certified_by is None) == (reason != "")
