@@ -169,6 +169,23 @@ MUTANTS = [
         "self.sampled.margin <= 0.0 and nowhere", "self.sampled.margin <= 0.0 or nowhere",
         "tests/stability/test_report.py",
     ),
+    (
+        "a robot adds its own gravity, not that of the arm it knows", "simulation/plant.py",
+        "_added(adds_gravity, robot, servo)", "_added(robot, adds_gravity, servo)",
+        "tests/simulation/test_simulate.py",
+    ),
+    (
+        "elastic joints have no stops", "simulation/plant.py",
+        "touched(end[0])) is False:\n            return *end[:2], after",
+        "touched(end[1])) is False:\n            return *end[:2], after",
+        "tests/simulation/test_joint_stops.py",
+    ),
+    (
+        "a frame that is followed is the tip on the believed arm", "view/browser/frames.py",
+        "if feature is not None and feature.frame not in (None, *scene",
+        "if feature is not None or feature.frame not in (None, *scene",
+        "tests/view/browser/test_frames.py",
+    ),
     # -- errors of a camera
     (
         "a camera rolls before it tilts", "cameras/camera.py",

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from own_controller import OwnController
 
 import approxjac as aj
-from approxjac.robots import Dynamics
+from approxjac.robots import Drives, Dynamics
 from approxjac.simulation.plant import JointStops, _complementary
 
 # mimic and prismatic joints; continuous ones; a wrist of 1e-5 kg m^2 and less; planar
@@ -209,3 +209,17 @@ def test_what_is_guessed_without_branches_is_right_or_says_so(name):
         assert wrong == (0.0 if is_right else 1.0)
         right += is_right
     assert right >= 30
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_link_of_an_elastic_joint_stops_at_its_limit_too(side):
+    """Pressed against it by 20 N m; without the stop it swings far beyond."""
+    robot, j, away = ARMS["panda"], 1, (-1.0, 1.0)[side]
+    q0, torque = np.mean(robot.position_limits, axis=0), np.zeros(7)
+    q0[j], torque[j] = robot.position_limits[side][j] - 0.02 * away, 20.0 * away
+    most = {}
+    for stops in (True, False):
+        plant = plant_of(robot, drives=Drives(0.1, 1e4), joint_limits=stops)
+        run = aj.simulate(plant, Constant(plant.sensor, torque), np.zeros(3), q0, 0.2, dt=2e-3)
+        most[stops] = (away * (run.q[:, j] - robot.position_limits[side][j])).max()
+    assert 0.0 < most[True] < 0.02 < 0.1 < most[False]

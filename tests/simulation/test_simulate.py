@@ -635,3 +635,16 @@ def test_a_configuration_is_held_well_if_no_motor_takes_more_than_seven_tenths(t
         assert holdable(dynamics, q, effort)
         effort[i] = g[i] / 0.71
         assert not holdable(dynamics, q, effort)
+
+
+@pytest.mark.parametrize("name", ["ur5", "kinova"])
+def test_gravity_that_a_robot_adds_is_that_of_the_arm_it_knows(name, rng):
+    """At rest it needs the difference of both gravity torques, and nothing more."""
+    arm = aj.load_robot(name)
+    truth, known = arm.with_object(0.2, 1.9), arm.with_object(0.1, 0.7)
+    plant = aj.Plant(truth, aj.PositionTask(truth), adds_gravity=known)
+    for q in truth.configurations(3):
+        rest = Dynamics(truth).g(q).copy() - Dynamics(known).g(q)
+        assert np.abs(rest).max() > 0.5
+        a = plant.acceleration(q, np.zeros(truth.nv), rest)
+        assert_allclose(Dynamics(truth).M(q) @ a, 0.0, atol=1e-10)

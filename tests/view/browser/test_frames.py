@@ -338,3 +338,13 @@ def test_the_tip_of_an_image_task_is_the_learnt_one_too(panda):
     apart = np.linalg.norm(shown["believed_tip"] - shown["tip"], axis=1)
     assert apart[-1] < 0.5 * apart[0]
     assert '"learnt tip"' in page(run)
+
+
+@pytest.mark.parametrize("frame", ["panda_link4", "panda_link6"])
+def test_a_frame_that_is_followed_is_drawn_on_both_robots(scene, q, frame):
+    sensor, task = (aj.PositionTask(each, frame=frame) for each in (scene.truth, scene.belief))
+    followed = dataclasses.replace(scene, sensor=sensor, task=task)
+    x = np.array([sensor.value(row) for row in q])
+    found = columns(followed, q, x, x + 0.1)
+    assert_allclose(found["tip"], x)
+    assert_allclose(found["believed_tip"], [task.value(row) for row in q])
