@@ -209,5 +209,7 @@ def progress_report(progress: Progress) -> Callable[[str, float], None]:
     def tell(what: str, share: float) -> None:
         bar.set_description(what, refresh=False)
         bar.update(share - bar.n)
+        if share >= 1.0:  # which comes too soon to be shown by itself
+            bar.refresh()
 
     return tell
