@@ -57,7 +57,7 @@ class MotionDynamics(Immutable, ABC):
         self.rotor_inertia = as_diagonal(
             "rotor_inertia", rotor_inertia, robot.nv, unit="kg m^2 or kg", positive=False
         )
-        self._dynamics = Dynamics(robot)
+        self._dynamics, self._rotors = Dynamics(robot), np.diag(self.rotor_inertia)
 
     def initial_state(self) -> Array:
         """Return the state before the first step, shape (n_state,); by default none."""
@@ -78,13 +78,9 @@ class MotionDynamics(Immutable, ABC):
     def gravity(self, state: Array, q: Array) -> Array:
         """Return the gravity torque by a state, shape (n_v,) [N m or N]."""
 
-    def momentum(self, q: Array, v: Array) -> Array:
-        """Return M̂(q) v of the believed arm with its rotors, without learning; shape (n_v,)."""
-        return np.asanyarray(self.inertia(q).dot(v))
-
     def inertia(self, q: Array) -> Array:
         """Return M̂(q) of the believed arm with its rotors, without learning, (n_v, n_v)."""
-        return self._dynamics.M(q) + np.diag(self.rotor_inertia)
+        return self._dynamics.M(q) + self._rotors
 
     def gain_inertia(self, room: float) -> Array:
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.

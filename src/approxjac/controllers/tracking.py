@@ -420,10 +420,10 @@ class TrackingController(Immutable, Controller):
         learnt: Any = {} if used.gamma is None else {"gamma": used.gamma}
         a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt, **learnt)
         after[:p] = a_hat
-        sigma = v - v_r
-        damped = self.kappa * (self.dynamics.momentum(q, sigma) + used.added * sigma)
+        sigma, M = v - v_r, self.dynamics.inertia(q)
+        damped = self.kappa * (M.dot(sigma) + used.added * sigma)
         if self.rotors is not None:
-            A = self.kappa * (self.dynamics.inertia(q) + np.diag(used.added))
+            A = self.kappa * (M + np.diag(used.added))
             most = np.minimum(used.most, _RIGID)
             damped = law.bounded_damping(A, damped, most)
             if self._slow is not None and w_dot is not None:
