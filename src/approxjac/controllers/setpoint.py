@@ -218,7 +218,7 @@ class SetpointController(Immutable, Controller):
         drives: Drives | None,
     ) -> Tuning | None:
         gravity, alpha, regressor = self.gravity, None, None
-        if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
+        if isinstance(gravity, AdaptiveGravity) and (gravity.L is None or not gravity.L.any()):
             alpha, regressor = gravity.alpha, gravity.regressor
         if gains is not None and regressor is None:
             return None

@@ -238,7 +238,13 @@ class TrackingController(Immutable, Controller):
             assert latency is not None
             strong = stood(strong_drives(robot))
             gamma = None if is_own else _learnt(robot, strong, None).gamma
-            self._raised = self._raisable(latency, first, strong, gamma)
+            added = np.maximum(self._added, strong.rotors - self.dynamics.rotor_inertia)
+            own = None if gamma is None else self.dynamics.gamma  # type: ignore[attr-defined]
+            self._raised = RaisedGains(
+                robot, latency, self.dt,
+                UsedGains(first.alpha, first.most, self._added, own),
+                UsedGains(strong.alpha, strong.most, added, gamma),
+            )  # fmt: skip
         last = 0 if self._commands is None else robot.nv
         self._last = self._end + (last if self._raised is None else self._raised.n_state)
         # of metres and radians at once it is usually 0.05, where nothing is singular
@@ -276,17 +282,6 @@ class TrackingController(Immutable, Controller):
                 raise InvalidInputError(message, given=gains)
             self._teaching = _teaching(task, self._gains, dt)
         self.n_state = self._taught + (0 if self._teaching is None else 1 + robot.nv)
-
-    def _raisable(
-        self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
-    ) -> RaisedGains:
-        """Return gains between those of the lightest rotors and strong ones."""
-        dynamics, robot = self.dynamics, self.task.robot
-        own = dynamics.gamma if isinstance(dynamics, AdaptiveDynamics) else None
-        low = UsedGains(first.alpha, first.most, self._added, None if gamma is None else own)
-        added = np.maximum(self._added, strong.rotors - dynamics.rotor_inertia)
-        high = UsedGains(strong.alpha, strong.most, added, gamma)
-        return RaisedGains(robot, latency, self.dt, low, high)
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
