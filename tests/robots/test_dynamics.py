@@ -88,7 +88,9 @@ def test_bad_states_are_refused_everywhere(panda):
     for call in (dynamics.C, task.jacobian_dot, dynamics.energy):
         with pytest.raises(aj.InvalidInputError, match=r"v must be finite.*, got \[inf"):
             call(good, np.full(7, np.inf))
-    with pytest.raises(aj.InvalidInputError, match=r"tau must have shape \(7,\).*, got shape \(3,\)"):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"tau must have shape \(7,\).*, got shape \(3,\)"
+    ):
         dynamics.forward(good, good, np.zeros(3))
     with pytest.raises(aj.InvalidInputError, match=r"a must be finite.*, got \[nan"):
         dynamics.inverse(good, good, np.full(7, np.nan))
@@ -113,7 +115,9 @@ def test_forward_dynamics_take_other_numbers_than_doubles(panda):
     expected = dynamics.forward(q, v.astype(float), tau.copy())
     for given in ((q.astype(np.float32), v, tau), (q.tolist(), v, tau), (q, v[:, None].T[0], tau)):
         assert np.array_equal(dynamics.forward(*given), expected)
-    with pytest.raises(aj.InvalidInputError, match=r"v must have shape \(7,\).*, got shape \(7, 1\)"):
+    with pytest.raises(
+        aj.InvalidInputError, match=r"v must have shape \(7,\).*, got shape \(7, 1\)"
+    ):
         dynamics.forward(q, v[:, None].astype(float), tau)
 
 

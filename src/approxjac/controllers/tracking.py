@@ -187,7 +187,7 @@ class TrackingController(Immutable, Controller):
     ) -> None:
         require_controllable(task)
         robot = task.robot
-        require("latency", latency, (Latency, type(None)), "Latency(...) or None")
+        require("latency", latency, Latency | None, "Latency(...) or None")
         require("command", command, str, '"torque" or "velocity"')
         if command not in ("torque", "velocity"):
             message = f'command must be "torque" or "velocity", got {command!r}'
@@ -197,8 +197,8 @@ class TrackingController(Immutable, Controller):
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
-        if drives is not None:
-            drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
+        require("drives", drives, Drives | None, "Drives(...) or None")
+        drives = None if drives is None else drives.of(robot)
         usual = _ALPHA if command == "torque" else _SERVO_ALPHA
 
         def stood(drives: Drives | None, slowly: bool = False) -> JointGains:

@@ -75,13 +75,12 @@ class FrankaDriver:
         realtime: bool = True,
     ) -> None:
         require("address", address, str, "a name or an IP address")
-        require("sensor", sensor, Callable, "a function of t and q that returns x")  # type: ignore[arg-type]
+        require("sensor", sensor, Callable, "a function of t and q that returns x")
         if command not in ("torque", "velocity"):
             message = f'command must be "torque" or "velocity", got {command!r}'
             raise InvalidInputError(message, given=command)
         self.command: Literal["torque", "velocity"] = command
-        if gravity is not None:
-            require("gravity", gravity, Robot, "a Robot, such as the arm without its tool")
+        require("gravity", gravity, Robot | None, "a Robot, such as the arm without its tool")
         self.adds_gravity = gravity is None
         self._gravity = None if gravity is None else Dynamics(gravity)
         self.limits = Limits(

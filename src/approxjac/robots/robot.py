@@ -390,8 +390,7 @@ class Robot(Immutable):
             UnknownNameError: No such joint.
         """
         for name, given in (("shifts", shifts), ("rotations", rotations)):
-            if given is not None:
-                require(name, given, Mapping, "a mapping from joint names to 3-vectors")
+            require(name, given, Mapping | None, "a mapping from joint names to 3-vectors")
         shifts, rotations, none = shifts or {}, rotations or {}, np.zeros(3)
         errors = {}
         for joint in dict.fromkeys([*shifts, *rotations]):

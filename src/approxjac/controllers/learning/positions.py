@@ -124,7 +124,7 @@ class AdaptiveKinematics(Estimator):
     ) -> None:
         self._restarts = restarts
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
-        require("prior", prior, (KinematicBelief, type(None)), "a Calibration, or None")
+        require("prior", prior, KinematicBelief | None, "a Calibration, or None")
         kinds = (*chosen_kinds(unknown, _KINDS), *(prior.kinds if prior else ()))
         self.unknown = kinds = tuple(dict.fromkeys(kinds))
         self._is_pose, self._turns = isinstance(task, PoseTask), "camera" in kinds

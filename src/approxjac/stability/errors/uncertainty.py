@@ -230,8 +230,7 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
-        if self.camera is not None:
-            require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
+        require("camera", self.camera, Camera | None, "a camera, such as PlanarCamera(f, z)")
         as_size("believed_length", self.believed_length)
         as_size("believed_mass", self.believed_mass, "kg")
         as_number("factor", self.factor, minimum=0.0)
