@@ -230,7 +230,8 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
-        require("camera", self.camera, Camera | None, "a camera, such as PlanarCamera(f, z)")
+        wanted = "a camera, such as PlanarCamera(f, z), or None"
+        require("camera", self.camera, Camera | None, wanted)
         as_size("believed_length", self.believed_length)
         as_size("believed_mass", self.believed_mass, "kg")
         as_number("factor", self.factor, minimum=0.0)

@@ -176,7 +176,8 @@ class Execution:
     executor: Executor | None = None
 
     def __post_init__(self) -> None:
-        require("executor", self.executor, Executor | None, "an executor of concurrent.futures")
+        wanted = "an executor of concurrent.futures or None"
+        require("executor", self.executor, Executor | None, wanted)
 
 
 def carried_out(
