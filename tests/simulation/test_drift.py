@@ -199,7 +199,7 @@ class Slips(SimulatedDriver):
         return super().read()
 
 
-@pytest.mark.parametrize("learns", [True, False])
+@pytest.mark.parametrize("learns", [True, pytest.param(False, marks=pytest.mark.study)])
 def test_a_loop_on_a_robot_tells_it_and_learns_anew_on_request(panda, learns, tmp_path):
     """By a law that learns and one on the measured x."""
     truth, task = panda.with_object(0.15, 0.3, axis="x"), aj.PositionTask(panda.with_object(0.0))
@@ -245,6 +245,7 @@ def test_a_loop_on_a_robot_tells_it_and_learns_anew_on_request(panda, learns, tm
         assert controller.kinematics_learnt(run.state[-1]).restarts == 1
 
 
+@pytest.mark.study
 def test_a_tool_that_slips_before_a_planar_camera_is_told():
     """Its roll is wrong, and the law on the measured image does not learn it."""
     arm = aj.load_robot("two_link")
