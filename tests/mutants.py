@@ -61,6 +61,114 @@ MUTANTS = [
         "a turned tool is taken for a moved one", "controllers/learning/positions.py",
         "np.zeros((n_p, 3)), self._l * axes", "np.zeros((n_p, 3)), -self._l * axes", DRIFT,
     ),
+    # -- what strangers' faults survived in: the second audit
+    (
+        "the last step of runs in lanes is not recorded", "codegen/sensors.py",
+        "(self._k == self._k[-1])", "(self._k == self._k[1])",
+        "tests/stability/test_rollouts.py",
+    ),
+    (
+        "a guess overlooks a stop that is reached", "simulation/plant.py",
+        "newly = ~touches & (depth + dt", "newly = ~touches & (depth - dt",
+        "tests/simulation/test_joint_stops.py",
+    ),
+    (
+        "another column of a loop is computed", "codegen/trace/symbols.py",
+        "loop.n + (first - loop.n) % loop.m", "loop.n + (first + loop.n) % loop.m",
+        "tests/codegen/test_loops.py",
+    ),
+    (
+        "what is constant in a loop is computed in each pass", "codegen/trace/program.py",
+        "if region.loop is not None:\n                scope",
+        "if region.loop is None:\n                scope",
+        "tests/codegen/test_loops.py",
+    ),
+    (
+        "rows are folded without the last", "law/branches.py",
+        "symbol.looped(len(arrays[0]), one", "symbol.looped(len(arrays[0]) - 1, one",
+        "tests/law/test_on_symbols.py",
+    ),
+    (
+        "a tilted lens shows too little", "cameras/lenses.py",
+        "beside = r * r * (3.0 * p", "beside = r * r * (6.0 * p", "tests/tasks/test_cameras.py",
+    ),
+    (
+        "a thin prism adds rays", "cameras/lenses.py",
+        "+ r**3 * (4.0 * second)", "- r**3 * (4.0 * second)", "tests/tasks/test_cameras.py",
+    ),
+    (
+        "a compiled run that diverges is a result", "codegen/whole_run.py",
+        'flat[place["left"]].any() or', 'flat[place["left"]].any() and',
+        "tests/simulation/test_engines.py",
+    ),
+    (
+        "time is twice as fast in compiled runs", "codegen/loop_program.py",
+        '{"count": count + 1.0}', '{"count": count + 2.0}', "tests/simulation/test_engines.py",
+    ),
+    (
+        "the only two sockets may be anywhere", "calibration/fit.py",
+        "if {*pair} <= {*self._of_socket}", "if {*pair} < {*self._of_socket}",
+        "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "a row that is given up weighs by its inverse", "law/limits.py",
+        "(rows.E * A[n:])", "(rows.E / A[n:])", "tests/law/test_torque_limits.py",
+    ),
+    (
+        "a joint at its end does a share of the search", "law/detour.py",
+        "(motion <= low) & (way < 0.0)", "(motion <= low) & (way > 0.0)", DETOURS,
+    ),
+    (
+        "the legend names an object that nobody holds", "view/browser/page.py",
+        '"object": not any(held', '"object": any(held', "tests/view/browser/test_html.py",
+    ),
+    (
+        "a narrow terminal has no room for texts", "cli/main.py",
+        "indent = min(indent, width() // 2)", "indent = max(indent, width() // 2)",
+        "tests/cli/test_main.py",
+    ),
+    (
+        "a loop keeps its processor", "realtime/scheduling.py",
+        "            os.sched_setaffinity(0, affinity)", "            pass", DRIVERS,
+    ),
+    (
+        "runs that diverge leave a certificate", "stability/report/report.py",
+        "rollouts.n_diverged > 0", "rollouts.n_diverged < 0", "tests/stability/test_report.py",
+    ),
+    (
+        "damping of gains that differ counts squared", "stability/certificates/certificate.py",
+        "np.ones_like(kv), B / float(kv.max())", "np.ones_like(kv), B",
+        "tests/stability/test_certificate.py",
+    ),
+    (
+        "a joint that touches its stop once is always there", "simulation/trajectory.py",
+        "> _TOUCHES).mean(axis=0)", "> _TOUCHES).max(axis=0)",
+        "tests/simulation/test_trajectory.py",
+    ),
+    (
+        "two errors of sensors are drawn alike", "simulation/sensing.py",
+        "spawn_key=(i,) if i else ()", "spawn_key=() if i else (i,)",
+        "tests/simulation/test_sensing.py",
+    ),
+    (
+        "a motion is left out row by row", "calibration/calibrate.py",
+        "// len(rows) if is_motion else", "// len(rows) if not is_motion else",
+        "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "a file of one row has no delimiter", "calibration/recording.py",
+        '";" in lines[0]', '";" in lines[1]', "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "a map's rows are its columns", "stability/search/map.py",
+        "for each in self.values]).T", "for each in self.values][::-1])",
+        "tests/stability/test_map.py",
+    ),
+    (
+        "a loop that is certified in continuous time has no function", "stability/report/report.py",
+        "self.sampled.margin <= 0.0 and nowhere", "self.sampled.margin <= 0.0 or nowhere",
+        "tests/stability/test_report.py",
+    ),
     # -- errors of a camera
     (
         "a camera rolls before it tilts", "cameras/camera.py",

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from tests.controllers.test_learnt_axes import Arm
 
 import approxjac as aj
 from approxjac import law
 from approxjac.calibration import Recording, calibrate, next_configurations
-from approxjac.calibration.calibrate import KINDS, USUAL_SD
+from approxjac.calibration.calibrate import KINDS, USUAL_SD, _left_out
 from approxjac.calibration.fit import TRACKER, Fit, Recorded
 from approxjac.robots import KinematicRegressor
 from approxjac.robots.kinematic_regressor import Unknowns
@@ -484,3 +484,35 @@ def test_poses_of_a_real_camera_are_predicted(panda):
     )
     assert found.held_out < 1.7e-3
     assert found.held_out < 0.45 * np.mean([each.drawing for each in found.places])
+
+
+def test_the_distance_of_the_only_two_sockets_counts(true_arm):
+    recordings, apart = sockets(true_arm, 9, places=1, rows=6)
+    regressor = KinematicRegressor(true_arm.believed, axes=True)
+    unknowns = Unknowns(regressor, KINDS, USUAL_SD)
+    samples = Recorded.of([each.of(true_arm.believed) for each in recordings])
+    (pair,) = apart
+    for distance in (0.05, 0.07):
+        fit = Fit(unknowns, samples, {pair: distance}, 1.0)
+        fit.solved()
+        one, other = (fit._c[name] for name in pair)
+        assert np.linalg.norm(one - other) == pytest.approx(distance, abs=2e-4)
+
+
+def test_of_one_place_a_motion_is_left_out_in_pieces_and_other_rows_in_turn(rng):
+    """Neighbours in a motion are alike, and would tell what is left out."""
+    walk = np.cumsum(0.01 + 0.01 * rng.random((60, 3)), axis=0)
+    pieces, turns = np.repeat(range(5), 12), np.tile(range(5), 12)
+    for q, expected in ((walk, pieces), (rng.permutation(walk), turns)):
+        rest = [None] * 60, [None] * 60, ["a"] * 60, ["room"] * 60, ["row"] * 60
+        parts = _left_out(Recorded(list(q), *rest)).values()
+        assert_array_equal(np.array([*parts]), [expected == k for k in range(5)])
+
+
+@pytest.mark.parametrize("mark", [",", ";"])
+def test_a_file_of_one_row_is_one_configuration(mark, tmp_path):
+    arm, q = aj.load_robot("two_link"), ["0.25", "-1.5"]
+    path = tmp_path / "one.csv"
+    for text in (mark.join(q), mark.join(("joint2", "joint1")) + "\n" + mark.join(reversed(q))):
+        path.write_text(text, encoding="utf-8")
+        assert Recording.load(path).of(arm).q.tolist() == [[0.25, -1.5]]

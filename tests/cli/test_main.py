@@ -195,3 +195,22 @@ def test_a_bar_says_what_it_does_how_long_it_took_and_how_long_it_will():
     assert shown.startswith("simulation: 5.0 of 10 s, 50 %|")
     assert " so far, " in shown
     assert shown.endswith(" to go")
+
+
+@pytest.mark.parametrize("columns", [44, 60])
+def test_a_narrow_terminal_has_half_of_its_width_for_the_texts(columns, monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    lines = help_of(capsys, "robots").splitlines()
+    texts = [line for line in lines if line.startswith("   ")]
+    assert max(map(len, texts)) <= columns
+    assert {len(line) - len(line.lstrip()) for line in texts} == {min(26, columns // 2)}
+
+
+@pytest.mark.parametrize("command", ["simulate", "stability", "view"])
+def test_the_help_says_what_a_command_is_given(command, capsys):
+    """The word after it is explained above the options."""
+    usage, *lines = help_of(capsys, command).splitlines()
+    word = usage.split()[3]
+    at = lines.index("Options")
+    assert any(line.startswith(f"  {word} ") for line in lines[:at])

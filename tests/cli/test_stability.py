@@ -6,6 +6,7 @@ import re
 import shlex
 from functools import partialmethod
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -406,3 +407,22 @@ def test_joint_errors_are_of_the_arm_whose_tip_the_law_commands():
     task, sensor = loop.controller.task, loop.truth.plant([0.02]).sensor
     assert sensor.frame == task.frame
     assert sensor.value([0.0, 0.0]) - task.value([0.0, 0.0]) == pytest.approx([0.0, 0.02])
+
+
+def test_a_map_is_drawn_with_both_ends_of_its_interval():
+    x, y, rng = np.array([0.5, 1.0, 2.0]), np.array([0.3, 3.0]), np.random.default_rng(6)
+    low, share, high = np.sort(rng.random((3, 2, 3)), axis=0)
+    grid = SimpleNamespace(
+        names=("a", "damping"), x=x, y=y, share=share, intervals=np.stack([low, high], axis=-1)
+    )
+    controller = aj.SetpointController(aj.PositionTask(aj.load_robot("two_link"), axes="xz"))
+    result = SimpleNamespace(
+        map=grid,
+        report=SimpleNamespace(loop=SimpleNamespace(controller=controller)),
+        scenario=SimpleNamespace(stability=SimpleNamespace(map_runs=7)),
+        study=SimpleNamespace(errors=SimpleNamespace(describe_box=lambda: "none")),
+    )
+    figure = judge.draw_map(result)
+    for ax, expected in zip(figure.axes, (low, share, high), strict=False):
+        np.testing.assert_allclose(ax.collections[0].get_array().reshape(2, 3), expected)
+    assert judge.draw_map(SimpleNamespace(map=None)) is None

@@ -289,3 +289,39 @@ def test_what_does_not_differ_is_a_constant():
     assert list(p.parameters) == ["stiffness"]
     with pytest.raises(ValueError, match="same differs from run to run where it did not"):
         p.filled({"same": np.full((2, 3), 0.2)})
+
+
+def test_what_is_known_is_decomposed_at_once(graph):
+    a, b = graph.input("x", 2)
+    known = np.array([[2.0, 0.3, -0.4], [0.3, 1.0, 0.1], [-0.4, 0.1, 3.0]])
+    values, vectors = eigensystem(symbols(known))
+    np.testing.assert_allclose(known @ vectors, vectors * values, atol=1e-14)
+    assert len(graph.nodes) == 2  # nothing was written down
+    partly = symbols([[a, 0.0, b], [0.0, 2.0, 0.0], [b, 0.0, -a]])  # ±√(a² + b²) and 2
+    found = np.sort(outcome(graph, eigensystem(partly)[0], x=[0.8, -1.5]))
+    np.testing.assert_allclose(found, [-1.7, 1.7, 2.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_any_matrix_of_three_rows_has_an_inverse(graph, n, rng):
+    A, b, numbers = inputs(graph, "A", (n, n)), inputs(graph, "b", n), rng.normal(size=(n, n))
+    made = [*np.linalg.solve(A, b), *np.linalg.inv(A).ravel()]
+    found = outcome(graph, made, A=numbers.ravel(), b=np.arange(n) - 0.7)
+    inverse = np.linalg.inv(numbers)
+    np.testing.assert_allclose(found[:n], inverse @ (np.arange(n) - 0.7), rtol=1e-12)
+    np.testing.assert_allclose(found[n:], inverse.ravel(), rtol=1e-12)
+
+
+def test_what_no_symbols_can_do_is_refused(graph):
+    x = inputs(graph, "x", 4)
+    for refused in (
+        lambda: x[0] ** 9,
+        lambda: x[0] ** 0.5,
+        lambda: np.linalg.norm(x, 1),
+        lambda: np.linalg.solve(np.outer(x, np.arange(4.0)), x),  # neither small nor symmetric
+        lambda: law.take(np.eye(3), x[0]),  # no number of a loop's pass
+    ):
+        with pytest.raises(TypeError):
+            refused()
+    assert +x[0] is x[0]
+    assert (+x[0]).place == np.append(x, x[0])[4].place

@@ -11,7 +11,7 @@ from approxjac import law
 from approxjac.codegen.backends.c99 import LANGUAGE
 from approxjac.codegen.backends.llvm import LlvmLanes
 from approxjac.codegen.backends.templates import template
-from approxjac.codegen.trace.program import Program, Writer
+from approxjac.codegen.trace.program import Program, Schedule, Writer
 from approxjac.codegen.trace.symbols import Scalar, symbols
 
 N = 4
@@ -181,3 +181,44 @@ def test_what_is_needed_of_a_loop_alone_is_computed():
     x = program.kept("x", N)
     a, b = law.repeat(3, lambda i, v: (v[0] * 2.0, np.sin(v[1])), (x[0], x[1]))
     assert len(program.graph.needed([a])) < 10 < len(program.graph.needed([b]))
+
+
+def test_what_does_not_change_in_a_loop_stays_outside():
+    """But within what is rare: outside of that it would not be."""
+    program, seen = Program(), {}
+    x, y = program.kept("x", N), program.kept("y", N)
+
+    def looped(name, a):
+        def body(i, values):
+            seen[name] = np.exp(a)  # the same in each pass
+            return (values[0] * seen[name] + law.take(y, i),)
+
+        return law.repeat(3, body, (x[0],))
+
+    (total,) = looped("always", x[1])
+    (found,) = law.choose(total > 0.0, lambda: looped("rare", x[2]), lambda: (total,))
+    schedule = Schedule(program.graph, [found.place])
+    (rarely,) = (scope for (kind, _), scope in schedule.inside.items() if kind == "rare")
+    assert seen["always"].place in schedule.whole.places
+    assert seen["rare"].place in rarely.places
+
+
+@pytest.mark.parametrize("column", range(3))
+@pytest.mark.parametrize("kept", [1, 2])
+def test_a_collected_column_is_found_among_others(column, kept):
+    """Without the others, which nobody needs."""
+    program = Program()
+    x = program.kept("x", N)
+
+    def body(i, values):
+        a = values[0] * 0.5 + law.take(TABLE, i)[0]
+        return (a, *(each - 1.0 for each in values[1:])), (a * 2.0, np.sin(a) * x[1], a - x[2])
+
+    program.step({"found": law.collect(N, body, tuple(x[:kept]))[1][column]})
+    found, (at, size) = carried_out(NumpyLanes(program), program), program.rows["found"]
+    (one, two, three), expected = columns(program)[:, :3].T, []
+    for i in range(N):
+        one = 0.5 * one + TABLE[i, 0]
+        expected.append((2.0 * one, np.sin(one) * two, one - three)[column])
+    found = found[:, at : at + size]
+    np.testing.assert_allclose(found, np.transpose(expected), rtol=1e-14, atol=1e-15)

@@ -234,3 +234,14 @@ def test_a_simulation_takes_them():
     assert run_scenario(scenario).final_error["m"] < 2e-3
     without = recommended(Scenario("so101", controller={"detours": False}))
     assert (without.controller.law, without.controller.detours) == ("tracking", False)
+
+
+@pytest.mark.parametrize("end", [-2.0, 2.0])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_where_a_joint_is_at_its_end_the_others_do_the_step(end, side):
+    """That of Gauss and Newton; inwards, the joint does its share."""
+    motion, J, z = np.array([end, 0.3, 0.0]), np.array([[1.0, 1.0, 0.5]]), np.array([0.45 * side])
+    step = detour()._nearer(motion, z, J) - motion
+    free = J[0].copy()
+    free[0] *= side * end > 0.0  # it moves by −z
+    assert_allclose(step, -z[0] * free / (free @ free), rtol=1e-3, atol=1e-12)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from approxjac import law
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.symbols import Graph, inputs, symbols
-from approxjac.law.branches import all_finite, is_finite, leave, surely
+from approxjac.law.branches import all_finite, fold, is_finite, leave, surely
 from approxjac.law.limits import largest, within
 from approxjac.law.tracking import within_speeds
 
@@ -131,3 +131,23 @@ def test_only_what_is_known_to_hold_is_sure():
     assert surely(np.bool_(True))
     assert not surely(False)
     assert not surely(inputs(Graph(), "x", 1)[0] > 0.0)
+
+
+@pytest.mark.parametrize("count", [1, 12, 13, 31])  # beyond 12 symbols are a loop
+def test_rows_are_folded_alike_on_numbers_and_symbols(count, rng):
+    def body(values, a, b):
+        total, last = values
+        return (total * a + b, a), (total - b, last * a)
+
+    numbers = rng.normal(size=(2, count))
+    total, last, rows = 0.7, 0.2, []
+    for a, b in numbers.T:
+        rows.append((total - b, last * a))
+        total, last = total * a + b, a
+    for columns in (numbers, inputs(Graph(), "x", (2, count))):
+        (end, before), collected = fold(body, (0.7, 0.2), *columns.tolist())
+        flat = [end, before, *collected[0], *collected[1]]
+        if columns is not numbers:
+            flat = numpy_function(columns[0, 0].graph, flat)(x=numbers.ravel())
+        expected = [total, last, *np.transpose(rows).ravel()]
+        assert_allclose(np.array(flat, dtype=float), expected, rtol=1e-13)

@@ -189,3 +189,23 @@ def test_bounds_of_a_share_of_the_acceleration_are_those_of_all_of_it(rng, furth
     per = rows.per(rho)
     assert_allclose(unit * (per.of(a) - per.low), rows.of(rho * a) - rows.low)
     assert_allclose(unit * (per.high - per.of(a)), rows.high - rows.of(rho * a))
+
+
+@pytest.mark.parametrize(("inertia", "g", "wanted"), [(0.4, 2.5, 20.0), (3.0, -0.7, 9.0)])
+def test_a_row_that_is_given_up_weighs_ten_times_what_braking_does(inertia, g, wanted):
+    """Of one joint: q̈ is the mean of the braking q̈ and of that with E q̈ as wanted, 1 to 10."""
+    M_inv, brake = np.array([[1.0 / inertia]]), -1.5
+
+    def minimum(problem, *_):
+        """The exact minimum along a line."""
+        ends = np.stack([problem.row_lower, problem.row_upper]) / problem.A[:, 0]
+        low, high = np.sort(ends, axis=0)
+        low, high = low.max(initial=problem.lower[0]), high.min(initial=problem.upper[0])
+        free = -problem.f[0] / problem.H[0, 0]
+        return np.clip([free], low, high), 0 if low <= high else 1
+
+    rows = Rows(np.array([-60.0, wanted]), np.array([60.0, np.inf]), np.array([[g]]))
+    bounds = law.limits.TorqueRows.of(rows, M_inv, np.zeros(1))
+    most = np.full(1, 500.0)
+    torque = law.braked(M_inv, bounds, -most, most, np.array([brake]), np.zeros(1), minimum)
+    assert_allclose(torque / inertia, (brake + 10.0 * wanted / g) / 11.0, rtol=1e-12)

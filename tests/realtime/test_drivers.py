@@ -417,3 +417,24 @@ def test_x_may_be_stamped_later_than_its_state_by_little(dt):
         measured = aj.Measurement(100.0, START, START, START[:3], 100.0 + ahead)
         assert bool(two_clocks(measured, dt)) is (clocks == 2)
     assert not two_clocks(measured._replace(t_x=None), dt)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has such scheduling")
+def test_a_loop_has_its_processor_and_gives_it_back():
+    before = os.sched_getaffinity(0), os.sched_getscheduler(0)
+    cpu = max(before[0])
+    with real_time(Scheduling(cpu)):
+        assert os.sched_getaffinity(0) == {cpu}
+    assert (os.sched_getaffinity(0), os.sched_getscheduler(0)) == before
+    for wrong in (Scheduling(cpu=4096), Scheduling(cpu, priority=100), Scheduling(priority=-1)):
+        with pytest.raises(InvalidInputError) as refused, real_time(wrong):
+            pass
+        assert refused.value.given is wrong
+        assert (os.sched_getaffinity(0), os.sched_getscheduler(0)) == before
+    try:
+        with real_time(Scheduling(priority=3)):
+            assert os.sched_getscheduler(0) == os.SCHED_FIFO
+            assert os.sched_getparam(0).sched_priority == 3
+    except InvalidInputError:
+        pass  # a user without the permission
+    assert (os.sched_getaffinity(0), os.sched_getscheduler(0)) == before

@@ -5,10 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from own_controller import OwnController
 
 import approxjac as aj
 from approxjac.codegen import whole_run
-from approxjac.errors import InvalidInputError, UnknownNameError
+from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
 from approxjac.simulation import Computation, InitialState, Trajectory
 
 
@@ -163,3 +164,67 @@ def test_a_compiled_run_begins_with_the_velocity_of_its_start(record_every):
         np.testing.assert_allclose(
             getattr(run, name), getattr(python, name), rtol=0, atol=1e-10, err_msg=name
         )
+
+
+def test_a_compiled_run_that_diverges_is_the_error_of_python(two_link):
+    task = aj.PositionTask(two_link, axes="xz")
+    law = aj.SetpointController(task, aj.Gains(3e7, 4e5, 1.0))
+    q, told = np.array([0.4, 0.9]), []
+    for engine in ("python", "compiled"):
+        with pytest.raises(SimulationError) as diverged:
+            aj.simulate(
+                aj.Plant(two_link, task), law, task.value(q) + 0.1, q, 0.4, dt=4e-3,
+                computation=Computation("semi_implicit_euler", engine=engine),
+            )  # fmt: skip
+        told.append((type(diverged.value), str(diverged.value)))
+    assert told[0] == told[1]
+
+
+def test_an_observer_is_called_in_python_only(loop):
+    with pytest.raises(InvalidInputError) as refused:
+        aj.simulate(
+            *loop, 0.1, observer=lambda loop: None, computation=Computation(engine="compiled")
+        )
+    assert refused.value.given == "compiled"
+
+
+class Swings(OwnController):
+    """A torque by the time of each sample."""
+
+    def evaluate(self, state, measurement, target):
+        torque = np.sin(3.0 * measurement.t + np.array([0.2, 1.1]))
+        return aj.Evaluation(torque, state, aj.Status.OK, measurement.x - target)
+
+
+@pytest.mark.parametrize("engine", ["python", "compiled"])
+def test_a_law_knows_the_time_of_its_samples(two_link, engine):
+    task = aj.PositionTask(two_link, axes="xz")
+    run = aj.simulate(
+        aj.Plant(two_link, task), Swings(task), (0.5, 1.2), (0.3, 0.8), 0.3, dt=3e-3,
+        computation=Computation(engine=engine),
+    )  # fmt: skip
+    expected = np.sin(3.0 * run.t[:-1, np.newaxis] + [0.2, 1.1])
+    np.testing.assert_allclose(run.tau[:-1], expected, atol=1e-12)
+
+
+class Pushes(OwnController):
+    """A torque beyond all reason, with which joints turn millions of times."""
+
+    def evaluate(self, state, measurement, target):
+        torque = 0.0 * measurement.q + np.array([1e8, 0.0])
+        return aj.Evaluation(torque, state, aj.Status.OK, measurement.x - target)
+
+
+def test_angles_of_which_code_has_no_sine_are_left_to_python(two_link):
+    arm = two_link.with_gravity((0.0, 0.0, 0.0))
+    task = aj.PositionTask(arm, axes="xz")
+    python, run = (
+        aj.simulate(
+            aj.Plant(arm, task, joint_limits=False), Pushes(task), (0.5, 1.2), (0.3, 0.8), 0.006,
+            dt=2e-3, computation=Computation("semi_implicit_euler", engine=engine),
+        )
+        for engine in ("python", "compiled")
+    )  # fmt: skip
+    assert 1e7 < np.abs(run.q).max() < 1e12
+    assert run.engine.startswith("Python: ")
+    np.testing.assert_array_equal(run.q, python.q)

@@ -191,3 +191,21 @@ def test_pushes_end_where_rounding_decides_who_is_held():
     push = _complementary(A, np.array(b))
     assert np.isfinite(push).all()
     assert (push >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["panda", "tiago_arm", "so101"])
+def test_what_is_guessed_without_branches_is_right_or_says_so(name):
+    """The pushes p ≥ 0 with A p ≥ b, one of both an equality at each stop that is touched."""
+    robot, stops, right = ARMS[name], STOPS[name], 0
+    for seed in range(40):
+        rng, dt = np.random.default_rng(seed), 0.003
+        q, v = near_limits(robot, rng), 4.0 * rng.normal(size=robot.nv)
+        M_inv = np.linalg.inv(Dynamics(robot).M(q))
+        (exact, _), (depth, side) = stops.held_torque(q, v, M_inv, dt), stops.depth(q)
+        slowed = dt * side[:, None] * M_inv * side
+        per_speed = stops.stiffness * dt + stops.damping
+        push, wrong = stops._guessed(depth, side * v, slowed, per_speed, dt)
+        is_right = np.allclose(-side * push, exact, rtol=1e-8, atol=1e-8 * np.abs(exact).max())
+        assert wrong == (0.0 if is_right else 1.0)
+        right += is_right
+    assert right >= 30

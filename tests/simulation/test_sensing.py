@@ -18,7 +18,7 @@ from approxjac import view
 from approxjac.controllers import DifferentiatedVelocity, RegressorGravity
 from approxjac.errors import MeasurementError
 from approxjac.robots import GravityRegressor
-from approxjac.simulation.sensing import SensorReadings
+from approxjac.simulation.sensing import DRAWN, SensorReadings, generator
 from approxjac.tasks import CombinedTask
 
 START = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
@@ -1045,3 +1045,12 @@ def test_rounding_images_leaves_measured_depths_as_they_are(panda):
         assert_array_equal(read[:, 2], true[:, 2])
         step = 0.25 if isinstance(task, CombinedTask) else 0.5
         assert_array_equal(read[:, :2], step * np.round(true[:, :2] / step))
+
+
+@pytest.mark.parametrize("seed", [3, 2**60 + 1])
+def test_no_two_errors_of_a_run_are_drawn_alike(seed):
+    drawn = [generator(seed, kind).random(200) for kind in DRAWN]
+    shared = np.corrcoef(drawn) - np.eye(len(DRAWN))
+    assert np.abs(shared).max() < 0.3
+    again = generator(seed, DRAWN[-1]).random(200)
+    assert_array_equal(again, drawn[-1])

@@ -340,3 +340,23 @@ def test_v_is_of_the_rest_where_the_robot_adds_gravity(panda):
     run = aj.simulate(plant, law, task.value(START) + 0.05, START, 1.0, dt=1e-3, record_every=0.01)
     assert np.diff(run.V).max() < 1e-3 * run.V[0]
     assert run.V[-1] < 0.7 * run.V[0]
+
+
+def test_joints_beyond_their_limits_are_told_with_their_time(panda):
+    *_, run = reach(panda, setpoint)
+    high = panda.position_limits[1]
+    q = run.q.copy()
+    q[:4, 1], q[5, 3] = high[1] + 0.02, high[3] + 0.01
+    found = dataclasses.replace(run, q=q)
+    assert found.at_stops == pytest.approx(
+        {"panda_joint2": 4 / 11 * run.t[-1], "panda_joint4": 1 / 11 * run.t[-1]}
+    )
+    assert dataclasses.replace(found, scene=None).at_stops == {}
+    assert run.at_stops == {}
+
+
+def test_the_rate_of_V_is_exact_where_V_is_a_parabola(panda):
+    *_, run = reach(panda, setpoint)
+    found = dataclasses.replace(run)
+    vars(found)["V"] = 3.0 - 2.0 * run.t + 40.0 * run.t**2
+    assert_allclose(found.V_dot, 80.0 * run.t - 2.0, atol=1e-9)

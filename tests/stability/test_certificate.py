@@ -14,7 +14,7 @@ from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.paper import experiments as paper
 from approxjac.robots import GravityRegressor
-from approxjac.stability.certificates.certificate import theorem1
+from approxjac.stability.certificates.certificate import constants, margin, theorem1
 from approxjac.stability.certificates.matrix_form import (
     FAMILIES,
     MatrixForm,
@@ -25,6 +25,7 @@ from approxjac.stability.certificates.matrix_form import (
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
+Q2 = np.array([0.7, 1.1])  # of the two-link arm
 
 
 def at_target(figure):
@@ -322,3 +323,24 @@ def test_weights_that_are_none_have_no_margin():
     coupled = Weights(np.eye(3), none, np.ones(3), coupling=1.1 * (np.eye(3) - np.ones((3, 3))))
     assert (form.margins(coupled) == -np.inf).all()
     assert form.violations(coupled) == 5
+
+
+def test_constants_of_gains_that_differ_are_those_of_their_equations():
+    """λ₁ of (21) and λ₂ of (23), and the margins by name."""
+    arm, kv = aj.load_robot("two_link"), np.array([110.0, 9.0])
+    task, plane = aj.PositionTask(arm, axes="xz"), aj.PositionTask(arm.with_object(0.1), axes="xz")
+    controller = aj.SetpointController(task, aj.Gains(400.0, kv, [3.0, 6.0]))
+    loop = ClosedLoop(controller, aj.Plant(plane.robot, plane), aj.JointBox.around(arm, Q2, 0.4))
+    samples, setting = loop.draw(9, np.random.default_rng(4)), loop.setting
+    found = constants(samples, setting)
+    for k, J in enumerate(samples.J_hat):
+        one = np.linalg.eigvalsh(J.T @ np.diag(kv) @ J + np.diag(setting.B))[0] / 110.0
+        two = np.linalg.eigvalsh(J.T @ J + np.diag(setting.B) / 110.0)[0]
+        assert_allclose([found["lambda_1"][k], found["lambda_2"][k]], [one, two], rtol=1e-9)
+    assert (np.abs(found["lambda_1"] / found["lambda_2"] - 1.0) > 0.01).any()
+    assert margin("theorem1", samples, setting) == theorem1(samples, setting).margin
+    form = MatrixForm(samples, setting)
+    best = max(best_weights(form, each).margins.min() for each in setting.families)
+    assert margin("matrix", samples, setting) in (
+        best, best_weights(form, setting.families[0]).margins.min()
+    )  # fmt: skip

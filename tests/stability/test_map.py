@@ -3,6 +3,7 @@
 import functools
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import approxjac as aj
 from approxjac.codegen.lanes import Lanes
 from approxjac.stability import Execution
 from approxjac.stability.rollouts import setting as rollout_setting
+from approxjac.stability.search.map import StabilityMap
 
 SHORT = {"duration": 1.0, "dt": 4e-3, "accuracy": 0.05}
 DAMPING, SCALES = (0.2, 2.0), (0.5, 1.0)
@@ -238,3 +240,19 @@ def test_the_rollouts_of_a_report_are_in_lanes(plane):
     report = aj.Study(law, own).report(20, runs=8)
     assert isinstance(report.loop.region, aj.stability.RegularPart)
     assert (report.rollouts.setting.engine, report.rollouts.setting.reason) == ("lanes", "")
+
+
+def test_each_point_of_a_grid_is_in_its_row_and_column():
+    """Those without runs are gaps."""
+    x, y = np.array([0.5, 1.0, 2.0]), np.array([0.1, 10.0])
+    points = {
+        (a, b): SimpleNamespace(share=a * b / 20.0, interval=(a * b / 40.0, a * b / 10.0))
+        for a in x
+        for b in y
+        if (a, b) != (1.0, 0.1)
+    }
+    found = StabilityMap(("error", "damping"), (x, y), points)
+    expected = np.outer(y, x) / 20.0
+    expected[0, 1] = np.nan
+    np.testing.assert_allclose(found.share, expected)
+    np.testing.assert_allclose(found.intervals, np.stack([0.5 * expected, 2.0 * expected], axis=-1))

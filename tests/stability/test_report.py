@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -678,3 +679,85 @@ def test_a_loop_that_grows_at_one_target_is_unstable(radii):
     assert some.contradiction == some.reason == "unstable"
     assert some.certified_by is None
     assert not some.passed
+
+
+@pytest.mark.parametrize(("left", "diverged"), [(0, 0), (3, 0), (5, 2)])
+def test_rollouts_that_diverge_contradict_a_certificate(report, left, diverged):
+    runs = SimpleNamespace(n=8, n_left=left, n_diverged=diverged, rows=[])
+    found = replace(report, rollouts=runs)
+    vars(found)["attraction"] = None  # which takes its time
+    headline, covers = found.rows[:2]
+    assert (covers.figures["left"], covers.figures["runs"]) == (left, 8)
+    if diverged:
+        assert (headline.verdict, covers.verdict) == ("no", "problem")
+        assert (headline.figures["diverged"], headline.figures["runs"]) == (2, 8)
+        assert found.reason == "rollouts diverged"
+    else:
+        assert (headline.verdict, covers.verdict) == ("yes", "certified")
+        assert headline.figures["margin"] == report.sampled.margin
+
+
+def test_without_a_test_of_the_sampled_loop_it_is_certified_in_continuous_time(report):
+    found = replace(report, sampled=None)
+    headline, covers = found.rows[:2]
+    assert (headline.verdict, covers.verdict) == ("in continuous time only", "continuous")
+    assert headline.figures["margin"] == max(test.margin for test in report.matrix.values()) > 0.0
+    assert found.certified_by is None
+    assert found.attraction is None
+
+
+@pytest.mark.parametrize(
+    ("latency", "taken"),
+    [
+        (Latency(4e-3, torque_delay=9e-3, image_age=8e-3), (4e-3, 8e-3, 8e-3)),
+        (Latency(2e-3, torque_delay=4e-3, image_age=5.5e-3), (2e-3, 4e-3, 6e-3)),
+        (Latency(5e-3, torque_delay=1e-2, image_age=2e-2), None),
+    ],
+)
+def test_delays_that_are_no_whole_periods_are_rounded_and_said_to_be(report, latency, taken):
+    found = replace(report, latency=latency)
+    vars(found)["attraction"] = None
+    row = by_name(found).get(("beware", "timing"))
+    if taken is None:
+        assert row is None
+    else:
+        names = ("period", "torque_delay", "image_age")
+        assert [row.figures[name] for name in names] == pytest.approx(taken)
+
+
+def test_joints_beyond_their_limits_are_named(report):
+    q = report.samples.q.copy()
+    q[7, 2], q[9, 5] = 3.1, -0.4
+    for samples, beyond in (
+        (replace(report.samples, q=q), {"joints": ["panda_joint3", "panda_joint6"]}),
+        (report.samples, None),
+    ):
+        found = replace(report, samples=samples)
+        vars(found)["attraction"] = None
+        row = by_name(found).get(("beware", "joint limits"))
+        assert (row and row.figures) == beyond
+
+
+@pytest.mark.parametrize(
+    ("sampled", "continuous", "violations", "reason"),
+    [(1.0, 1.0, 0, ""), (1.0, -1.0, 0, ""), (1.0, 1.0, 1, "violated"), (-1.0, 1.0, 0, "too slow"),
+     (-1.0, -1.0, 0, "none"), (None, 1.0, 0, "learnt"), (None, -1.0, 0, "learnt, none")],
+)  # fmt: skip
+def test_why_it_is_not_certified(report, sampled, continuous, violations, reason):
+    """Of the signs of margins in samples and in continuous time, and what was found elsewhere."""
+    of_time = {
+        name: replace(test, margins=continuous * np.ones(9), violations=0)
+        for name, test in report.matrix.items()
+    }
+    tests = {"sampled": None, "matrix": of_time}
+    if sampled is not None:
+        margins = np.array([sampled, 2.0])
+        tests["sampled"] = replace(report.sampled, margins=margins, violations=violations)
+    found = replace(report, **tests)
+    vars(found)["attraction"] = None
+    assert not found.theorem1.holds
+    assert found.reason == reason
+    assert found.rows[0].verdict == {"": "yes", "learnt": "in continuous time only"}.get(
+        reason, "no"
+    )
+    assert (found.certified_by is None) == (reason != "")

@@ -429,3 +429,12 @@ def test_a_share_that_is_not_all_is_not_shown_as_all():
     assert [percent(each) for each in (0.0, 1e-9, 0.5, 0.99995, 1.0)] == [
         "0.0", "0.1", "50.0", "99.9", "100.0",
     ]  # fmt: skip
+
+
+def test_the_last_instant_counts_beside_every_second_one(controller, uncertainty):
+    """Of 803 steps every second one is kept, and the last."""
+    box = aj.JointBox.around(controller.task.robot, (0.6, 1.1), 0.2)
+    found = rolled(controller, uncertainty, box, runs=2, duration=0.803, dt=1e-3, engine="lanes")
+    run = found.replay(1)
+    assert run.t[-1] == pytest.approx(0.803)
+    assert found.runs[1].final_error == pytest.approx(run.error_norm[-1], rel=1e-9)

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
+from approxjac.cameras.lenses import Lens
 from approxjac.errors import UnknownNameError
 
 LENSES = {
@@ -437,3 +438,22 @@ def test_a_camera_with_the_numbers_of_another_one_shows_what_that_does(rng):
         assert_allclose(same.project(r), other.project(r))
         assert_allclose(same.interaction(r), other.interaction(r))
         assert_allclose(same.locate(same.project(r), same.in_camera(r)[2]), r, atol=1e-9)
+
+
+@pytest.mark.parametrize(("p", "tilt"), [(0.05, 0.8), (0.02, 1.1), (0.0, 0.6)])
+def test_a_tilted_sensor_shows_rays_up_to_those_along_it(p, tilt):
+    """On the x axis the image is r + 3p₂r², and ∞ where that is cot τ: what is left out is less."""
+    lens = Lens((0.0, 0.0, 0.0, p, *(0.0,) * 8, 0.0, tilt))
+    reach = 1.0 / np.tan(tilt)
+    along = 2.0 * reach / (1.0 + np.sqrt(1.0 + 12.0 * p * reach))
+    assert lens.largest_radius == pytest.approx(along, rel=1e-5)
+
+
+@pytest.mark.parametrize("lens", [(0.03, 0.2, 0.05), (0.0, 0.1, 0.3), (0.1, 0.0, 0.02)])
+def test_rays_are_shown_up_to_where_their_images_stop_moving_apart(lens):
+    """Along −x the image is −r + 3p₂r² + s₁r² + s₂r⁴, whose slope is 0 at the first fold."""
+    p, s1, s2 = lens
+    roots = np.roots([4.0 * s2, 0.0, 6.0 * p + 2.0 * s1, -1.0])
+    (fold,) = roots[(abs(roots.imag) < 1e-12) & (roots.real > 0.0)].real
+    found = Lens((0.0, 0.0, 0.0, p, 0.0, 0.0, 0.0, 0.0, s1, s2, 0.0, 0.0)).largest_radius
+    assert found == pytest.approx(fold, rel=1e-5)

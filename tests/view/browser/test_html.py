@@ -343,3 +343,16 @@ def test_a_run_that_cannot_be_viewed_leaves_no_file(run, monkeypatch, tmp_path):
     with pytest.raises(aj.InvalidInputError, match="run must have a scene"):
         view.show(dataclasses.replace(run, scene=None))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("length", [0.0, 0.15])
+def test_the_legend_names_an_object_where_one_is_held(length):
+    arm = aj.load_robot("two_link").with_object(length)
+    task = aj.PositionTask(arm, axes="xz")
+    held = aj.simulate(
+        aj.Plant(arm, task), aj.SetpointController(task), (0.5, 1.2), (0.3, 0.8), 0.004, dt=2e-3
+    )
+    named = {entry[0] for entry in data_of(page(held))["legend"]}
+    assert ("object" in named) == (length > 0.0)
+    assert "arm" in named
+    assert "wall" not in named

@@ -104,15 +104,13 @@ class Graph:
         return self._scalar(Node(operation, places))
 
     def rare(
-        self, condition: Condition, values: Sequence[Number], others: Sequence[Number]
+        self, condition: Scalar, values: Sequence[Number], others: Sequence[Number]
     ) -> list[Number]:
         """Return values where a condition holds, others elsewhere, as `select` does.
 
         What only the values need is computed where the condition holds in at least one run of a
         vector: so it costs nothing where it never does.
         """
-        if not isinstance(condition, Scalar):
-            return list(values if condition else others)
         self._blocks += 1
         places = [(self.place(a), self.place(b)) for a, b in zip(values, others, strict=True)]
         return [
