@@ -168,8 +168,8 @@ def as_limits(name: str, value: Any, size: int, *, unit: str) -> Array:
     return read_only(array)
 
 
-def require(name: str, value: Any, kind: type | tuple[type, ...], wanted: str) -> Any:
-    """Return an argument, or raise an InvalidInputError if it is not of the type `kind`."""
+def require(name: str, value: Any, kind: Any, wanted: str) -> Any:
+    """Return an argument, or raise an InvalidInputError if it is not of a type or union `kind`."""
     if isinstance(value, type) or not isinstance(value, kind):  # a class may look like a protocol
         given = f"the class {value.__name__}" if isinstance(value, type) else shown(value)
         if inspect.isroutine(value) and "<" not in value.__name__:

@@ -187,7 +187,7 @@ def test_prediction_has_exact_derivatives(turned_run, belief, rng, kind, angle):
     def rotation(part, name, s):
         return rotation_exp(s * state[at[name]]) @ state[at[part]].reshape(3, 3)
 
-    R_f = kinematics._frame(q, state[at["u"]])
+    R_f = kinematics._turn(q, state[at["u"]]).R
     R_x = R @ R_f @ rotation("T", "T_spin", 0.0)
     R_d = rotation_exp(angle * way / np.linalg.norm(way)) @ R_x
 
@@ -243,7 +243,7 @@ def test_estimates_move_as_is_said(turned_run, sensor):
     n = kinematics._n_u
     T = law.nearest_rotation(Theta[n - 9 : n].reshape(3, 3).T)
     goal = rotation_exp(after[at["integral"]][3:] / kinematics._length)
-    goal = goal @ R @ kinematics._frame(run.q, Theta) @ T
+    goal = goal @ R @ kinematics._turn(run.q, Theta).R @ T
     z = kinematics.predict(
         after, run.q, np.zeros(7), aj.Target(np.append(x[:3], pin.Quaternion(goal).coeffs()))
     ).z

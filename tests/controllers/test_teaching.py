@@ -81,7 +81,7 @@ def test_what_it_is_not_for_is_refused():
         TrackingGains(self_motion="teaches")
 
 
-@pytest.mark.parametrize("command", ["torque", "velocity"])
+@pytest.mark.parametrize("command", ["torque", pytest.param("velocity", marks=pytest.mark.study)])
 def test_compiled_it_is_the_same_and_it_moves_no_tip(command):
     arm = aj.load_robot("panda")
     task = aj.PositionTask(arm)

@@ -92,7 +92,7 @@ class Watched:
         a_error = self.a - loop.state[: self.law.resting]
         M = self.dynamics.M(q)
         self.V.append(V2(sigma, M, a_error, inside.gamma))
-        gain = inside.momentum(q, sigma) + self.law._added * sigma
+        gain = inside.inertia(q) @ sigma + self.law._added * sigma
         self.W.append(self.law.kappa * sigma @ gain)
         self.statuses.append(loop.answer.limit_status)
 
@@ -759,7 +759,8 @@ def test_told_rotors_are_in_the_gain_and_in_what_is_learnt(panda):
     assert_array_equal(controller._added, 0.0)
     q = STARTS["panda"]
     v = np.arange(7.0)
-    assert_allclose(controller.dynamics.momentum(q, v), Dynamics(panda).M(q) @ v + 0.1 * v)
+    M = Dynamics(panda).M(q)
+    assert_allclose(controller.dynamics.inertia(q) @ v, M @ v + 0.1 * v)
     regressor = controller.dynamics.regressor
     rotors = controller.dynamics.initial_state()[regressor.links : regressor.links + 7]
     assert_array_equal(rotors, 0.1)

@@ -590,7 +590,7 @@ REFUSED = [
     ({"joint_shifts": {"joint2": (0.1, 0.1)}}, r"joint_shifts of joint2 must have shape"),
     (
         {"joint_rotations": {"joint2": (-0.1, 0.1, 0.0)}},
-        r"joint_rotations of joint2 must be >= 0 \[rad\], as they are to either side, got \[-0.1",
+        r"joint_rotations of joint2 must be >= 0 .*got \[-0.1",
     ),
     ({"roll": (-0.1, 0.1)}, r"roll is that of a camera, got \(-0.1, 0.1\) without one: give"),
     ({"camera": 5}, r"camera must be a camera, such as PlanarCamera\(f, z\), or None, got 5"),

@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from types import NoneType
 from typing import Any, Self
 
 import numpy as np
@@ -228,7 +227,7 @@ class PinholeCamera(Camera):
         require("fisheye", self.fisheye, bool, "True or False")
         lens = _lens(self.fisheye, k)
         as_number("near", self.near, unit="m", above=0.0)
-        require("mount", self.mount, (str, NoneType), "the name of a frame, or None for the world")
+        require("mount", self.mount, str | None, "the name of a frame, or None for the world")
         own = vars(self)  # frozen once it is built
         own.update(focal_length=tuple(f.tolist()), size=(int(size[0]), int(size[1])))
         own.update(position=tuple(p.tolist()), rotation=tuple(map(tuple, R.tolist())))

@@ -13,7 +13,7 @@ from approxjac.controllers.friction import FRICTION_SHARE
 from approxjac.controllers.gains.sample_configurations import usual_inertias
 from approxjac.robots import Dynamics, Friction, Robot
 from approxjac.robots.drives import usual_effort
-from approxjac.robots.dynamics import DynamicsRegressor
+from approxjac.robots.dynamics import HALF, DynamicsRegressor
 from approxjac.validation import Array, Immutable, as_diagonal, as_limits, as_number, require
 
 _MASS = 0.03  # share of the arm's mass that a link's may be wrong by
@@ -57,7 +57,8 @@ class MotionDynamics(Immutable, ABC):
         self.rotor_inertia = as_diagonal(
             "rotor_inertia", rotor_inertia, robot.nv, unit="kg m^2 or kg", positive=False
         )
-        self._dynamics = Dynamics(robot)
+        self._dynamics, self._rotors = Dynamics(robot), np.diag(self.rotor_inertia)
+        self._still = np.zeros(robot.nv)
 
     def initial_state(self) -> Array:
         """Return the state before the first step, shape (n_state,); by default none."""
@@ -78,13 +79,9 @@ class MotionDynamics(Immutable, ABC):
     def gravity(self, state: Array, q: Array) -> Array:
         """Return the gravity torque by a state, shape (n_v,) [N m or N]."""
 
-    def momentum(self, q: Array, v: Array) -> Array:
-        """Return M̂(q) v of the believed arm with its rotors, without learning; shape (n_v,)."""
-        return np.asanyarray(self.inertia(q).dot(v))
-
     def inertia(self, q: Array) -> Array:
         """Return M̂(q) of the believed arm with its rotors, without learning, (n_v, n_v)."""
-        return self._dynamics.M(q) + np.diag(self.rotor_inertia)
+        return self._dynamics.M(q) + self._rotors
 
     def gain_inertia(self, room: float) -> Array:
         """Return inertias F (n_v,) to add to M̂ in the gain κM̂, with λ_max(M̂⁻¹(M̂ + F)) <= room.
@@ -115,7 +112,7 @@ class ModelDynamics(MotionDynamics):
     ) -> tuple[Array, Array, Array]:
         """Return the unchanged state, and torques by two passes of RNEA; see `MotionDynamics`."""
         inverse, g = self._dynamics.inverse, self._dynamics.g(q)
-        middle, apart = inverse(q, 0.5 * (v + v_r), a_r), inverse(q, 0.5 * (v - v_r), 0.0 * a_r)
+        middle, apart = inverse(q, HALF * (v + v_r), a_r), inverse(q, HALF * (v - v_r), self._still)
         return state, middle - apart + g + self.rotor_inertia * a_r, g
 
     def gravity(self, state: Array, q: Array) -> Array:

@@ -169,8 +169,7 @@ class Controller(ABC):
 
     def guarded(self, guard: Guard | None) -> Self:
         """Return this controller with other bounds of good samples; None accepts all."""
-        if guard is not None:
-            require("guard", guard, Guard, "Guard(q=..., lag=...) or None")
+        require("guard", guard, Guard | None, "Guard(q=..., lag=...) or None")
         copy: Self = changed_copy(self, guard=guard)
         vars(copy).pop("_sample_guard", None)
         return copy

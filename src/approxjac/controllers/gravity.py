@@ -164,11 +164,6 @@ class AdaptiveGravity(Immutable):
             given=bounds,
         )
 
-    @property
-    def wants_rule(self) -> bool:
-        """True if `tuned` chooses its learning rates."""
-        return self.L is None or not self.L.any()
-
     def adaptation(self, task: Task, gains: Diagonals, chosen: Learning | None) -> Adaptation:
         """Return this with its defaults filled in, for a task, gains and the choice of `tuned`.
 

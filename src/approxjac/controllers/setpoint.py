@@ -151,13 +151,12 @@ class SetpointController(Immutable, Controller):
         for name, value, kind, wanted in (
             ("gains", gains, Gains, "Gains(kp=..., kv=..., damping=...) or None"),
             ("velocity", velocity, DifferentiatedVelocity, "DifferentiatedVelocity(T) or None"),
-            ("posture", posture, (Posture, AwayFromStops), "Posture(q, stiffness) or None"),
+            ("posture", posture, Posture | AwayFromStops, "Posture(q, stiffness) or None"),
             ("latency", latency, Latency, "Latency(period=...) or None"),
             ("friction", friction, FrictionCompensation, "FrictionCompensation() or None"),
             ("drives", drives, Drives, "Drives(...) or None"),
         ):
-            if value is not None:
-                require(name, value, kind, wanted)
+            require(name, value, kind | None, wanted)
         robot = task.robot
         self.task, self.velocity, self.posture, self.latency = task, velocity, posture, latency
         self.friction = friction
@@ -218,7 +217,7 @@ class SetpointController(Immutable, Controller):
         drives: Drives | None,
     ) -> Tuning | None:
         gravity, alpha, regressor = self.gravity, None, None
-        if isinstance(gravity, AdaptiveGravity) and gravity.wants_rule:
+        if isinstance(gravity, AdaptiveGravity) and (gravity.L is None or not gravity.L.any()):
             alpha, regressor = gravity.alpha, gravity.regressor
         if gains is not None and regressor is None:
             return None

@@ -187,7 +187,7 @@ class TrackingController(Immutable, Controller):
     ) -> None:
         require_controllable(task)
         robot = task.robot
-        require("latency", latency, (Latency, type(None)), "Latency(...) or None")
+        require("latency", latency, Latency | None, "Latency(...) or None")
         require("command", command, str, '"torque" or "velocity"')
         if command not in ("torque", "velocity"):
             message = f'command must be "torque" or "velocity", got {command!r}'
@@ -197,8 +197,8 @@ class TrackingController(Immutable, Controller):
         self.kinematics = _usual_kinematics(task, dt) if kinematics is None else kinematics
         gains = TrackingGains() if gains is None else gains
         require("gains", gains, TrackingGains, "TrackingGains(...) or None")
-        if drives is not None:
-            drives = require("drives", drives, Drives, "Drives(...) or None").of(robot)
+        require("drives", drives, Drives | None, "Drives(...) or None")
+        drives = None if drives is None else drives.of(robot)
         usual = _ALPHA if command == "torque" else _SERVO_ALPHA
 
         def stood(drives: Drives | None, slowly: bool = False) -> JointGains:
@@ -238,7 +238,13 @@ class TrackingController(Immutable, Controller):
             assert latency is not None
             strong = stood(strong_drives(robot))
             gamma = None if is_own else _learnt(robot, strong, None).gamma
-            self._raised = self._raisable(latency, first, strong, gamma)
+            added = np.maximum(self._added, strong.rotors - self.dynamics.rotor_inertia)
+            own = None if gamma is None else self.dynamics.gamma  # type: ignore[attr-defined]
+            self._raised = RaisedGains(
+                robot, latency, self.dt,
+                UsedGains(first.alpha, first.most, self._added, own),
+                UsedGains(strong.alpha, strong.most, added, gamma),
+            )  # fmt: skip
         last = 0 if self._commands is None else robot.nv
         self._last = self._end + (last if self._raised is None else self._raised.n_state)
         # of metres and radians at once it is usually 0.05, where nothing is singular
@@ -276,17 +282,6 @@ class TrackingController(Immutable, Controller):
                 raise InvalidInputError(message, given=gains)
             self._teaching = _teaching(task, self._gains, dt)
         self.n_state = self._taught + (0 if self._teaching is None else 1 + robot.nv)
-
-    def _raisable(
-        self, latency: Latency, first: JointGains, strong: JointGains, gamma: Array | None
-    ) -> RaisedGains:
-        """Return gains between those of the lightest rotors and strong ones."""
-        dynamics, robot = self.dynamics, self.task.robot
-        own = dynamics.gamma if isinstance(dynamics, AdaptiveDynamics) else None
-        low = UsedGains(first.alpha, first.most, self._added, None if gamma is None else own)
-        added = np.maximum(self._added, strong.rotors - dynamics.rotor_inertia)
-        high = UsedGains(strong.alpha, strong.most, added, gamma)
-        return RaisedGains(robot, latency, self.dt, low, high)
 
     def _require_parts(self) -> None:
         """Refuse kinematics or dynamics that are none, or of another robot."""
@@ -420,10 +415,10 @@ class TrackingController(Immutable, Controller):
         learnt: Any = {} if used.gamma is None else {"gamma": used.gamma}
         a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt, **learnt)
         after[:p] = a_hat
-        sigma = v - v_r
-        damped = self.kappa * (self.dynamics.momentum(q, sigma) + used.added * sigma)
+        sigma, M = v - v_r, self.dynamics.inertia(q)
+        damped = self.kappa * (M.dot(sigma) + used.added * sigma)
         if self.rotors is not None:
-            A = self.kappa * (self.dynamics.inertia(q) + np.diag(used.added))
+            A = self.kappa * (M + np.diag(used.added))
             most = np.minimum(used.most, _RIGID)
             damped = law.bounded_damping(A, damped, most)
             if self._slow is not None and w_dot is not None:

@@ -71,7 +71,6 @@ from approxjac.law.matrix_form import stiffness_block as stiffness_block
 from approxjac.law.products import length as length
 from approxjac.law.products import root as root
 from approxjac.law.pseudoinverse import SINGULAR_RATIO as SINGULAR_RATIO
-from approxjac.law.pseudoinverse import adjugate as adjugate
 from approxjac.law.pseudoinverse import damped_gram_solve as damped_gram_solve
 from approxjac.law.pseudoinverse import gram_damping as gram_damping
 from approxjac.law.pseudoinverse import is_near_singular as is_near_singular

@@ -279,7 +279,11 @@ def limit_step(
         problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
         best, verdict = minimum(problem, price, slack > 0.0)
         (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (best,))
-        left = 0.0 if y is None else power_above(torque, wanted, y)
+        left = 0.0
+        if y is not None:  # yᵀ(τ − τ*) where positive by more than round-off [W]
+            power = y.dot(torque - wanted)
+            round_off = _POWER_ROUND_OFF * np.maximum(1.0, np.abs(y).dot(np.abs(wanted)))
+            left = select(power < np.inf, select(power <= round_off, 0.0, power), math.inf)
         return torque, f + M_inv.dot(torque - near), left, verdict, 0.0
 
     return choose(complement(fits), searched, lambda: (near, f, slack, 0, free))
@@ -331,13 +335,6 @@ def braked(
 
     torque, verdict = repeat(len(wanted), stage, (hold, 1))
     return choose(verdict > 0, lambda: (hold,), lambda: (torque,))[0]
-
-
-def power_above(torque: Array, wanted: Array, y: Array) -> Any:
-    """Return σ = yᵀ(τ − τ*) where positive by more than round-off [W], infinite if it overflows."""
-    power = y.dot(torque - wanted)
-    round_off = _POWER_ROUND_OFF * np.maximum(1.0, np.abs(y).dot(np.abs(wanted)))
-    return select(power < np.inf, select(power <= round_off, 0.0, power), math.inf)
 
 
 def within(low: list[Any], values: list[Any], high: list[Any]) -> Any:

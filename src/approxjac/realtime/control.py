@@ -8,7 +8,6 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -145,10 +144,10 @@ def control(
     wanted = wanted_of(controller.task, target, 0.0)
     duration = as_number("duration", duration, unit="s", above=0.0)
     steps = math.ceil(duration / driver.dt)
-    require("tolerances", tolerances, (Tolerances, NoneType), "Tolerances(...)")
-    require("scheduling", scheduling, (Scheduling, NoneType), "Scheduling(...)")
-    require("stop", stop, (threading.Event, NoneType), "a threading.Event")
-    require("observer", observer, (Callable, NoneType), "a function of a Loop")  # type: ignore[arg-type]
+    require("tolerances", tolerances, Tolerances | None, "Tolerances(...)")
+    require("scheduling", scheduling, Scheduling | None, "Scheduling(...)")
+    require("stop", stop, threading.Event | None, "a threading.Event")
+    require("observer", observer, Callable | None, "a function of a Loop")
     speeds = task_bounds("speed", speed, task, _SPEED, "/s")
     tolerances = (tolerances or Tolerances()).for_task(task, driver.dt, controller.unseen)
     brake, signals = Brake(driver), StopSignals()

@@ -75,13 +75,12 @@ class FrankaDriver:
         realtime: bool = True,
     ) -> None:
         require("address", address, str, "a name or an IP address")
-        require("sensor", sensor, Callable, "a function of t and q that returns x")  # type: ignore[arg-type]
+        require("sensor", sensor, Callable, "a function of t and q that returns x")
         if command not in ("torque", "velocity"):
             message = f'command must be "torque" or "velocity", got {command!r}'
             raise InvalidInputError(message, given=command)
         self.command: Literal["torque", "velocity"] = command
-        if gravity is not None:
-            require("gravity", gravity, Robot, "a Robot, such as the arm without its tool")
+        require("gravity", gravity, Robot | None, "a Robot, such as the arm without its tool")
         self.adds_gravity = gravity is None
         self._gravity = None if gravity is None else Dynamics(gravity)
         self.limits = Limits(
@@ -142,7 +141,11 @@ class FrankaDriver:
                 if is_torque:
                     if self._gravity is not None:
                         command = command - self._gravity.g(np.array(self._state.q))
-                    sent = self._franka.Torques(self._within_rate(command).tolist())
+                    before, change = np.array(self._state.tau_J_d), _TORQUE_RATE * _DT
+                    within = np.clip(
+                        np.clip(command, before - change, before + change), -_EFFORT, _EFFORT
+                    )
+                    sent = self._franka.Torques(within.tolist())
                 else:
                     sent = self._franka.JointVelocities(self._within_jerk(command).tolist())
                 self._control.writeOnce(sent)
@@ -194,11 +197,6 @@ class FrankaDriver:
                 self._robot.set_collision_behavior(*self._collision)
         with self._named("read"):
             self._state = self._robot.read_once()
-
-    def _within_rate(self, torque: Array) -> Array:
-        before, change = np.array(self._state.tau_J_d), _TORQUE_RATE * _DT
-        low, high = np.maximum(before - change, -_EFFORT), np.minimum(before + change, _EFFORT)
-        return np.asarray(np.minimum(np.maximum(torque, low), high))
 
     def _within_jerk(self, velocity: Array) -> Array:
         """Return velocities within speed, acceleration and jerk of the last that the robot got.

@@ -129,7 +129,11 @@ class RobotLoop(Loop):
         fault = self._watch.commanded(command, self.answer.reference)
         self._note(fault, self._watch.detail)
         if self._brakes():
-            self._explain()
+            if self.fault in _FAST:  # by what, if that can be seen
+                count = len(self.monitor.events)
+                self.monitor.explain()
+                for event in self.monitor.events[count:]:
+                    self.detail += f"; {event.condition}: {event.where}, {event.figure}"
             return False
         # without q and q̇ the last command goes out once more, which no limit has to object to
         self._brake.send(command)
@@ -146,15 +150,6 @@ class RobotLoop(Loop):
     def events(self) -> tuple[Event, ...]:  # type: ignore[override]
         """What the monitor has detected so far."""
         return tuple(self.monitor.events)
-
-    def _explain(self) -> None:
-        """Say what made a joint too fast, if that can be seen."""
-        if self.fault not in _FAST:
-            return
-        count = len(self.monitor.events)
-        self.monitor.explain()
-        for event in self.monitor.events[count:]:
-            self.detail += f"; {event.condition}: {event.where}, {event.figure}"
 
     def halt(self) -> None:
         """Bring the arm to rest with the controller, from the next period on."""

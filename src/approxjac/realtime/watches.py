@@ -191,7 +191,18 @@ class FaultWatch:
         if frozen.any():
             j = int(frozen.argmax())
             return self._fault(Fault.ENCODER_FROZEN, j, f"{_REPEATS} times the same q")
-        return self._unanswered(same)
+        self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
+        self._held_by = np.where(same, self._held_by, self._command)
+        led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)
+        unanswered = (led > self._most_led) | (pushed > self._answered)
+        unanswered &= self._stood >= self._stands
+        if not unanswered.any():
+            return None
+        j = int(unanswered.argmax())
+        message = f"its torque changed by {pushed[j]:.3g} {self._robot.force_units[j]}"
+        if led[j] > self._most_led[j]:
+            message = f"it was led {led[j]:.3g} {self._units[j]}"
+        return self._fault(Fault.COMMAND_UNANSWERED, j, message)
 
     def _disagrees(self, j: int, way: Array, mean: Array, slack: Array, window: int) -> Fault:
         """Return the cause of different motions of q and ∫q̇: q̇, or one step of t."""
@@ -206,20 +217,6 @@ class FaultWatch:
         ways = f"{way[j]:.3g} {self._units[j]} by q and {mean[j]:.3g} by q̇"
         message = f"moved {ways} in {1e3 * window * self._dt:.3g} ms"
         return self._fault(Fault.VELOCITY_DISAGREES, j, message)
-
-    def _unanswered(self, same: Array) -> Fault | None:
-        self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
-        self._held_by = np.where(same, self._held_by, self._command)
-        led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)
-        unanswered = (led > self._most_led) | (pushed > self._answered)
-        unanswered &= self._stood >= self._stands
-        if not unanswered.any():
-            return None
-        j = int(unanswered.argmax())
-        message = f"its torque changed by {pushed[j]:.3g} {self._robot.force_units[j]}"
-        if led[j] > self._most_led[j]:
-            message = f"it was led {led[j]:.3g} {self._units[j]}"
-        return self._fault(Fault.COMMAND_UNANSWERED, j, message)
 
     def _speed(self, t: float, v: Array) -> Fault | None:
         """Check speeds, and whether they grow as in an unstable loop."""

@@ -10,7 +10,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import short_fields
 from approxjac.robots.dynamics import Dynamics
 from approxjac.robots.robot import Robot
-from approxjac.validation import Array, as_diagonal, as_limits, as_number, require
+from approxjac.validation import Array, as_diagonal, as_limits, as_number
 
 Entries = float | Sequence[float] | Array
 _DRAWN = 50  # configurations, for a joint's usual inertia and load
@@ -173,8 +173,3 @@ class Drives:
         reduced = J * inertia / np.maximum(J + inertia, 1e-300)
         K = np.where(np.isfinite(K), K, 0.0)
         return np.asarray(2.0 * self.damping_ratio * np.sqrt(K * reduced))
-
-
-def drives_of(value: Drives | None) -> Drives:
-    """Return the drives given, ideal ones for None."""
-    return Drives() if value is None else require("drives", value, Drives, "Drives(...) or None")

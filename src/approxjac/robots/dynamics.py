@@ -129,7 +129,7 @@ COULOMB_SPEED = 0.05  # speed within which Coulomb friction passes from −τ_c 
 REFERENCE_SPEED = 0.01  # the same of a reference velocity, which has no noise
 
 _RANK_TOLERANCE = 1e-9
-_HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
+HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
 _OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _OF_A_JOINT = {  # and their units where it turns and where it slides
     "rotor": ("kg m²", "kg"),
@@ -245,7 +245,7 @@ class DynamicsRegressor(_TorqueRegressor):
 
     def _links(self, q: Array, v: Array, v_r: Array, a_r: Array) -> Array:
         mimic = self._mimic_joints
-        middle, apart = mimic.v(_HALF * (v + v_r)), mimic.v(_HALF * (v - v_r))
+        middle, apart = mimic.v(HALF * (v + v_r)), mimic.v(HALF * (v - v_r))
         links = self._torques(self._model, q, middle, mimic.v(a_r))
         return links - self._torques(self._weightless, q, apart, self._zero)
 

@@ -39,18 +39,12 @@ class FittedDynamics:
     residual: Array
 
     def __str__(self) -> str:
-        kinds = self.friction.viscous, self.friction.coulomb, self.friction.load
-        lines = [
-            f"{name}: " + ", ".join(f"{a:.3g} ± {b:.1g}" for a, b in zip(each, sd, strict=True))
-            for name, each, sd in zip(
-                ("viscous", "Coulomb", "load"), np.array(kinds), self.friction_sd, strict=True
-            )
-        ]
+        lines = [f"payload {self.payload:.3g} ± {self.payload_sd:.1g} kg"]
+        for name, sds in zip(("viscous", "Coulomb", "load"), self.friction_sd, strict=True):
+            pairs = zip(getattr(self.friction, name.lower()), sds, strict=True)
+            lines.append(f"{name}: " + ", ".join(f"{a:.3g} ± {sd:.1g}" for a, sd in pairs))
         unexplained = ", ".join(f"{each:.2g}" for each in self.residual)
-        return "\n".join([
-            f"payload {self.payload:.3g} ± {self.payload_sd:.1g} kg", *lines,
-            f"not explained: {unexplained} N m rms",
-        ])  # fmt: skip
+        return "\n".join([*lines, f"not explained: {unexplained} N m rms"])
 
 
 def fit_dynamics(

@@ -162,7 +162,7 @@ class KinematicRegressor(Immutable):
                 added.append(int(whole.addJoint(added[-1], kind, placed, f"{what} {i}")))
             return added[1:]
 
-        self.across = [_across(robot.tree.joints[name].axis) for name in self.turners]
+        self.across = [across(robot.tree.joints[name].axis) for name in self.turners]
         ways = dict(zip(self.turners, self.across, strict=True))
         for joint, name in zip(joints, self.movers, strict=True):
             shifts += chained(links[model.parents[joint]], slides, f"origin of {name}")
@@ -335,7 +335,7 @@ class KinematicRegressor(Immutable):
         return J if self._plain else np.asanyarray(J.dot(self._columns))
 
 
-def _across(axis: Array) -> tuple[Array, Array, Array]:
+def across(axis: Array) -> tuple[Array, Array, Array]:
     """Return e₁, e₂ and e₁ × e₂ along an axis, (3,) each: x, y and z of an axis along z."""
     axis = axis / np.linalg.norm(axis)
     one = np.eye(3)[np.abs(axis).argmin()]

@@ -25,7 +25,16 @@ from approxjac.robots.urdf import (
     with_moved_origins,
     with_object,
 )
-from approxjac.validation import Array, Immutable, as_array, as_number, as_vector, require, shape_of
+from approxjac.validation import (
+    Array,
+    Immutable,
+    as_array,
+    as_number,
+    as_vector,
+    read_only,
+    require,
+    shape_of,
+)
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 WORLD = pin.Convention.WORLD  # members of Pinocchio's enums are slow to look up
@@ -180,7 +189,7 @@ class Robot(Immutable):
         at = [joint.idx_q for joint in self._joints.values()]
         low, high = self.model.lowerPositionLimit[at], self.model.upperPositionLimit[at]
         known = np.array([joint.nq == 1 for joint in self._joints.values()]) & (low < high)
-        return _read_only(np.where(known, low, -np.inf), np.where(known, high, np.inf))
+        return read_only(np.where(known, low, -np.inf)), read_only(np.where(known, high, np.inf))
 
     def neutral(self) -> Array:
         """Return the configuration with every joint at zero, shape (nq,)."""
@@ -197,7 +206,7 @@ class Robot(Immutable):
         wide = upper - lower > 2.0 * reach
         middle = np.maximum(lower + reach, np.minimum(0.0, upper - reach))
         lower, upper = np.where(wide, middle - reach, lower), np.where(wide, middle + reach, upper)
-        return _read_only(lower, upper)
+        return read_only(lower), read_only(upper)
 
     def random_configuration(self, rng: np.random.Generator) -> Array:
         """Draw a configuration uniformly within `usual_range`, shape (nq,) [rad or m]."""
@@ -381,8 +390,7 @@ class Robot(Immutable):
             UnknownNameError: No such joint.
         """
         for name, given in (("shifts", shifts), ("rotations", rotations)):
-            if given is not None:
-                require(name, given, Mapping, "a mapping from joint names to 3-vectors")
+            require(name, given, Mapping | None, "a mapping from joint names to 3-vectors")
         shifts, rotations, none = shifts or {}, rotations or {}, np.zeros(3)
         errors = {}
         for joint in dict.fromkeys([*shifts, *rotations]):
@@ -477,11 +485,6 @@ class Robot(Immutable):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Robot:
         return self  # it never changes
-
-
-def _read_only(lower: Array, upper: Array) -> tuple[Array, Array]:
-    lower.flags.writeable = upper.flags.writeable = False
-    return lower, upper
 
 
 # -- the Pinocchio model of a URDF -------------------------------------------------------

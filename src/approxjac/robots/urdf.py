@@ -351,11 +351,7 @@ def as_size(name: str, value: Any, unit: str = "m") -> float:
 
 def rotation_onto(axis: Array) -> Array:
     """Return the matrix (3, 3) of the smallest rotation from z onto the unit vector `axis`."""
-    x, y, z = axis
-    if z < -1.0 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    K = np.array([[0.0, 0.0, x], [0.0, 0.0, y], [-x, -y, 0.0]])
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + z))
+    return np.array(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix())
 
 
 def with_object(

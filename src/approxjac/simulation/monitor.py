@@ -58,6 +58,7 @@ _ABSORBED = 1.5  # s, after which what lasts is taken for a load
 _HALF_WAVES = 6  # that are much alike
 _ALIKE = 1.7  # times by which the lengths of two waves may differ
 _LASTS, _KEEPS = 0.25, 0.75  # s, for which it swings at least, and what is left of it then
+_OVER = 1.5  # periods without a turn, after which it is over
 _SLOW = 0.5  # s, over which the speed is averaged about which a joint swings
 _SWINGS = 0.01  # rad/s or m/s, at least
 _VISIBLE, _VISIBLE_LED, _TOOL = 1e-4, 2e-3, 0.1  # m, of motion, while led, of a tool so long
@@ -222,7 +223,7 @@ class Monitor:
             v = v - self._slow
         for j in np.flatnonzero((np.abs(v) >= _SWINGS) | self._swinging).tolist():
             swing, name = self._swings[j], f"swing {j}"
-            if self._swinging[j] and t - swing.turned > swing.patience:
+            if self._swinging[j] and t - swing.turned > _OVER * swing.period:
                 self._end(name, swing.turned)
                 self._swinging[j] = False
             if not swing.look(t, h, float(v[j])) or self._swinging[j] or not swing.lasts:
@@ -666,8 +667,3 @@ class _Swing:
     def period(self) -> float:
         """Their period [s]."""
         return 2.0 * sum(self._times) / len(self._times) if self._times else math.inf
-
-    @property
-    def patience(self) -> float:
-        """Time without a turn after which it is over [s]."""
-        return 1.5 * self.period

@@ -16,7 +16,7 @@ from approxjac.formatting import short, short_fields
 from approxjac.interface import Measurement
 from approxjac.law.factors import Factors
 from approxjac.robots import Dynamics, Robot
-from approxjac.robots.drives import Drives, Friction, drives_of, usual_effort, usual_inertia
+from approxjac.robots.drives import Drives, Friction, usual_effort, usual_inertia
 from approxjac.robots.dynamics import COULOMB_SPEED
 from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation.sensing import Sensing, lost_entries
@@ -287,10 +287,10 @@ class Plant(Immutable):
         require("robot", robot, Robot, "the true Robot")
         sensor = PositionTask(robot) if sensor is None else sensor
         _require_own(robot, sensor)
-        if servo is not None:
-            require("servo", servo, VelocityServo, "simulation.VelocityServo(...) or None")
+        require("drives", drives, Drives | None, "Drives(...) or None")
+        require("servo", servo, VelocityServo | None, "simulation.VelocityServo(...) or None")
+        require("sensing", sensing, Sensing | None, "Sensing(...) or None")
         if sensing is not None:
-            require("sensing", sensing, Sensing, "Sensing(...) or None")
             sensing.sizes(sensor)  # refuses wrong lengths, and parts that are not there
             lost_entries(sensing, sensor)
         nv = robot.nv
@@ -300,7 +300,7 @@ class Plant(Immutable):
             friction = Friction(as_diagonal("friction", friction, nv, unit=unit, positive=False))
         rubs = friction.of(nv)
         self.friction, self.coulomb = np.asarray(rubs.viscous), np.asarray(rubs.coulomb)
-        self.transmission = Transmission(robot, rubs, drives_of(drives).of(robot))
+        self.transmission = Transmission(robot, rubs, (drives or Drives()).of(robot))
         self.drives = self.transmission.drives
         if servo is not None and self.transmission.moves:
             message = "drives must be None beside a servo, whose loop is around rigid joints"

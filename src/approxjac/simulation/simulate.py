@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from types import NoneType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -434,7 +433,6 @@ class SampledLoop(Loop):
 
 Progress = Callable[[float], None]
 Observer = Callable[[Loop], None]
-_FUNCTION: Any = (Callable, NoneType)
 _REPORTED, _STALL = 200, 5000  # evaluations
 _MACHINE_CODE = "approxjac.codegen.whole_run"  # which builds on this, and so is loaded by its name
 
@@ -471,7 +469,7 @@ class Computation:
             require_known("engine", self.engine, "the engines", ["compiled", "python"])
         as_number("rtol", self.rtol, above=0.0)
         as_number("atol", self.atol, above=0.0)
-        require("progress", self.progress, _FUNCTION, "a function of the time reached [s]")
+        require("progress", self.progress, Callable | None, "a function of the time reached [s]")
 
 
 def simulate(
@@ -525,7 +523,7 @@ def simulate(
     duration = as_number("duration", duration, unit="s", above=0.0)
     as_integer("seed", seed, 0)
     require("computation", computation, Computation, "a Computation(..., engine=...)")
-    require("observer", observer, _FUNCTION, "a function of a Loop")
+    require("observer", observer, Callable | None, "a function of a Loop")
     engine, progress = computation.engine, _onwards(computation.progress)
     reason = "" if observer is None else "an observer"
     reason = "dt=None" if dt is None else reason

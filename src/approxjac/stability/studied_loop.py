@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
-from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from approxjac.tasks.analysis import fine_error
 from approxjac.validation import Array, as_integer, as_number, require
 
 Progress = Callable[[str, float], None] | bool | None
-_PROGRESS: Any = (Callable, bool, NoneType)
 _DURATION = 10.0  # of a run [s]
 
 
@@ -51,9 +49,9 @@ class StudiedLoop:
     def __post_init__(self) -> None:
         wanted = "a controller, such as SetpointController(task)"
         require("controller", self.controller, Controller, wanted)
-        region, latency = (self.region, (Region, NoneType)), (self.latency, (Latency, NoneType))
-        require("region", *region, "a Region, such as JointBox(robot), or None")
-        require("latency", *latency, "Latency(period=...) or None")
+        wanted = "a Region, such as JointBox(robot), or None"
+        require("region", self.region, Region | None, wanted)
+        require("latency", self.latency, Latency | None, "Latency(period=...) or None")
         as_integer("seed", self.seed, 0)
         if self.accuracy is not None:
             as_number("accuracy", self.accuracy, above=0.0)
@@ -199,7 +197,8 @@ class StudiedLoop:
 
 def progress_report(progress: Progress) -> Callable[[str, float], None]:
     """Return a function that reports the name of the current work and the share done."""
-    require("progress", progress, _PROGRESS, "a function of what is done and its share, or True")
+    wanted = "a function of what is done and its share, or True"
+    require("progress", progress, Callable | bool | None, wanted)
     if progress is not True:
         return progress or (lambda what, share: None)
     from tqdm import tqdm
@@ -209,5 +208,7 @@ def progress_report(progress: Progress) -> Callable[[str, float], None]:
     def tell(what: str, share: float) -> None:
         bar.set_description(what, refresh=False)
         bar.update(share - bar.n)
+        if share >= 1.0:  # which comes too soon to be shown by itself
+            bar.refresh()
 
     return tell

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.robots import Robot
+from approxjac.robots.kinematic_regressor import across
 from approxjac.robots.robot import all_frame_id
 from approxjac.validation import Array
 
@@ -81,7 +82,8 @@ class Structure(NamedTuple):
             tuple(parent - 1 for parent in list(model.parents)[1:]),
             slides,
             tuple(
-                _with_z(S[:3] if slide else S[3:]) for S, slide in zip(axes, slides, strict=True)
+                np.stack(across(S[:3] if slide else S[3:]), axis=1) + 0.0
+                for S, slide in zip(axes, slides, strict=True)
             ),
             tuple(joint.idx_q for joint in joints),
             tuple(joint.nq == 2 for joint in joints),
@@ -165,13 +167,6 @@ def reduced(numbers: ArmNumbers, structure: Structure) -> Reduced:
         _tidy(_product(ends, numbers.frame_rotations)),
         _tidy(_applied(ends, numbers.frame_translations)),
     )
-
-
-def _with_z(axis: Array) -> Array:
-    beside = np.eye(3)[(int(np.abs(axis).argmax()) + 1) % 3]
-    x = beside - (beside @ axis) * axis
-    x = x / np.sqrt(x @ x)
-    return np.stack([x, np.cross(axis, x), axis], axis=1) + 0.0
 
 
 def _product(A: Array, B: Array) -> Array:

@@ -64,11 +64,6 @@ class SampleConfigurations:
         """Mᵢᵢ of each joint, the median over configurations; shape (n_v,)."""
         return np.asarray(np.median(np.diagonal(self.M, axis1=1, axis2=2), axis=0))
 
-    @functools.cached_property
-    def largest_joint_mobility(self) -> Array:
-        """(M⁻¹)ᵢᵢ of each joint, the largest of all configurations; shape (n_v,)."""
-        return np.asarray(np.diagonal(self.M_inv, axis1=1, axis2=2).max(axis=0))
-
     def felt_damping(self, damping: Array) -> Array:
         """Return the damping of B_c (n_v,) along task coordinates, 1 / (Ĵ B_c⁻¹ Ĵᵀ)ᵢᵢ.
 

@@ -108,7 +108,7 @@ def _gains_at(
     for group, mobility in zip(postures.groups, postures.largest_mobility, strict=True):
         # M⁻¹JᵀK_vJ has the eigenvalues of K_v times the mobility
         kv[group] = np.minimum(kv[group], fastest / mobility)
-    most = fastest / postures.largest_joint_mobility
+    most = fastest / np.diagonal(postures.M_inv, axis1=1, axis2=2).max(axis=0)
     damping = np.minimum(rate * postures.joint_inertia + quieting, most)
     if motors is not None:
         lever = np.linalg.norm(postures.J_hat / np.sqrt(motors), 2, axis=(1, 2)) ** 2

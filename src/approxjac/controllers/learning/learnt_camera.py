@@ -542,7 +542,10 @@ class _KeyFrames:
                 step = np.zeros(self._size)
                 damped = normal + np.diag(damping * self._prior[free])
                 step[free] = np.linalg.solve(damped, descent)
-                new = self._stepped(estimate, step)
+                (u, R, p, stretch), n = _parts(estimate), self._n
+                step = step / max(1.0, math.hypot(*step[n + 3 : n + 6].tolist()) / _TURN)
+                R, p = law.rotation_exp(step[n + 3 : n + 6]).dot(R), p + step[n : n + 3]
+                new = np.concatenate([u + step[:n], R.ravel(), p, [stretch + step[-1]]])
                 lower = self._cost(new, terms)
                 if lower < cost:
                     estimate, cost = new, lower
@@ -550,12 +553,6 @@ class _KeyFrames:
             else:
                 break
         return estimate, cost
-
-    def _stepped(self, estimate: Array, step: Array) -> Array:
-        (u, R, p, stretch), n = _parts(estimate), self._n
-        step = step / max(1.0, math.hypot(*step[n + 3 : n + 6].tolist()) / _TURN)
-        R = law.rotation_exp(step[n + 3 : n + 6]).dot(R)
-        return np.concatenate([u + step[:n], R.ravel(), p + step[n : n + 3], [stretch + step[-1]]])
 
     def _placed(self, estimate: Array, terms: _Terms) -> Array:
         """Return an estimate whose camera is moved back, and sideways, such that it sees them."""

@@ -124,7 +124,7 @@ class AdaptiveKinematics(Estimator):
     ) -> None:
         self._restarts = restarts
         self.task = task = PositionTask(task) if isinstance(task, Robot) else task
-        require("prior", prior, (KinematicBelief, type(None)), "a Calibration, or None")
+        require("prior", prior, KinematicBelief | None, "a Calibration, or None")
         kinds = (*chosen_kinds(unknown, _KINDS), *(prior.kinds if prior else ()))
         self.unknown = kinds = tuple(dict.fromkeys(kinds))
         self._is_pose, self._turns = isinstance(task, PoseTask), "camera" in kinds
@@ -338,7 +338,7 @@ class AdaptiveKinematics(Estimator):
         first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
         if self._is_pose:
             R_x, is_seen = law.rotation_of(x[3:])
-            T = self._frame(q, state[at["u"]]).T.dot(R.T).dot(R_x)
+            T = self._turn(q, state[at["u"]]).R.T.dot(R.T).dot(R_x)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
         H, known = self._positions(q, state[at["u"]])
@@ -423,7 +423,7 @@ class AdaptiveKinematics(Estimator):
             T, (R_f, _, _, A) = state[at["T"]].reshape(3, 3), self._turn(q, smooth_u)
             learnt = self.learnt(state)[self._n_theta : self._n_theta + 3]
             T_goal = law.rotation_exp(learnt) if self._learns_T else np.eye(3)
-            now, goal = smooth_R.dot(R_f), R.dot(self._frame(q, u)).dot(T_goal)
+            now, goal = smooth_R.dot(R_f), R.dot(self._turn(q, u).R).dot(T_goal)
             goal = law.rotation_exp(integral[n_p:] / self._length).dot(goal)
             turns.append(law.rotation_log(goal.dot(now.dot(T).T)))
         rate = self._smoothing_rate(dt, law.length(away), *turns)
@@ -442,9 +442,6 @@ class AdaptiveKinematics(Estimator):
 
     def _turn(self, q: Array, u: Array, *moving: Array) -> Any:
         return self._moved.turn(q, u[: self._n_theta], *moving)
-
-    def _frame(self, q: Array, u: Array) -> Array:
-        return np.asanyarray(self._turn(q, u).R)
 
     def _turned(self, R: Array, p: Array) -> Array:
         return p.reshape(-1, self._d).dot(R.T).ravel() if self._is_turned else p

@@ -234,8 +234,13 @@ class TorqueLimited(ControllerWrapper):
             )
         robot = controller.task.robot
         self.controller = controller
-        of_joints, self.motion_limits = _sorted(limits)
-        self.limits = (Limits.of(robot) if of_joints is None else of_joints).for_joints(robot.nv)
+        listed = limits if isinstance(limits, list | tuple) else () if limits is None else (limits,)
+        of_joints = [each for each in listed if isinstance(each, Limits)]
+        if len(of_joints) > 1:
+            message = f"limits must hold one Limits at most, got {limits!r}"
+            raise InvalidInputError(message, given=limits)
+        self.motion_limits = tuple(each for each in listed if not isinstance(each, Limits))
+        self.limits = (of_joints or [Limits.of(robot)])[0].for_joints(robot.nv)
         self._upper, self._rate = np.asarray(self.limits.effort), np.asarray(self.limits.rate)
         self._lower = -self._upper
         self._has_rate = bool(np.isfinite(self._rate).any())
@@ -484,15 +489,3 @@ class TorqueLimited(ControllerWrapper):
     def __repr__(self) -> str:
         numbers = f"dt={self._dt:g}, braking={self.braking:g}"
         return f"TorqueLimited({self.controller!r}, proof={self.proof}, {numbers})"
-
-
-def _sorted(
-    limits: Limits | Limit | Sequence[Limits | Limit] | None,
-) -> tuple[Limits | None, tuple[Limit, ...]]:
-    listed = limits if isinstance(limits, list | tuple) else () if limits is None else (limits,)
-    of_joints = [each for each in listed if isinstance(each, Limits)]
-    if len(of_joints) > 1:
-        message = f"limits must hold one Limits at most, got {limits!r}"
-        raise InvalidInputError(message, given=limits)
-    others = tuple(each for each in listed if not isinstance(each, Limits))
-    return (of_joints[0] if of_joints else None), others

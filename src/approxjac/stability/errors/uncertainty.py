@@ -23,6 +23,7 @@ from approxjac.tasks import ImageTask, PositionTask, Task, best_axes
 from approxjac.validation import (
     Array,
     as_array,
+    as_diagonal,
     as_integer,
     as_number,
     as_vector,
@@ -100,14 +101,8 @@ def _as_bounds(name: str, given: Any, arm: Robot, unit: str) -> dict[str, tuple[
     bounds = {}
     for joint, bound in given.items():
         require_known("joint", joint, arm.name, arm.tree.joints)
-        array = as_array(f"{name} of {joint}", bound, (3,), unit)
-        if (array < 0.0).any():
-            raise InvalidInputError(
-                f"{name} of {joint} must be >= 0 [{unit}], as they are to either side, "
-                f"got {array.tolist()}",
-                given=bound,
-            )
-        bounds[joint] = tuple(array.tolist())
+        size = as_diagonal(f"{name} of {joint}", bound, 3, unit=unit, positive=False)
+        bounds[joint] = tuple(size.tolist())
     return bounds
 
 
@@ -130,10 +125,7 @@ def _camera_bounds(
 ) -> list[Coordinate]:
     if given is None:
         return []
-    known, bounds = [], as_array(name, given, (count,), unit)
-    if (bounds < 0.0).any():
-        message = f"{name} must be >= 0 [{unit}], to either side, got {bounds.tolist()}"
-        raise InvalidInputError(message, given=given)
+    known, bounds = [], as_diagonal(name, given, count, unit=unit, positive=False)
     for axis, bound in zip("xyz", bounds.tolist(), strict=False):
         if bound > 0.0:
             known += _camera_range(camera, f"{name} {axis}", (-bound, bound))
@@ -238,8 +230,8 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
-        if self.camera is not None:
-            require("camera", self.camera, Camera, "a camera, such as PlanarCamera(f, z), or None")
+        wanted = "a camera, such as PlanarCamera(f, z), or None"
+        require("camera", self.camera, Camera | None, wanted)
         as_size("believed_length", self.believed_length)
         as_size("believed_mass", self.believed_mass, "kg")
         as_number("factor", self.factor, minimum=0.0)

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from types import NoneType
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -25,7 +24,6 @@ _PORTION = 1024  # runs in lanes at once, at most
 _VECTOR = 8  # runs that lanes take at once, at least
 
 Engine = Literal["lanes", "python"]
-_EXECUTOR: Any = (Executor, NoneType)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,7 +176,8 @@ class Execution:
     executor: Executor | None = None
 
     def __post_init__(self) -> None:
-        require("executor", self.executor, _EXECUTOR, "an executor of concurrent.futures or None")
+        wanted = "an executor of concurrent.futures or None"
+        require("executor", self.executor, Executor | None, wanted)
 
 
 def carried_out(
