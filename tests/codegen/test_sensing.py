@@ -93,7 +93,7 @@ STUDIES = {
     ),
     "later than the run": (
         lambda: moves(False),
-        {"actuator_delay": 1e9, "sensing": Sensing(x_delay=0.598)},
+        {"actuator_delay": 10.0, "sensing": Sensing(x_delay=0.598)},
     ),
     "all": (moves, ALL),
     "at bounds that depend on each other": (

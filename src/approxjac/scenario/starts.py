@@ -12,13 +12,16 @@ from approxjac.simulation.plant import holdable
 from approxjac.tasks import FrameKinematics, Task
 from approxjac.validation import Array, as_array
 
-_TRIES = 1000  # configurations
 _WAYS = 100  # that are tried
 REGULAR = 0.1  # starts and targets have σ_min of J and of Ĵ above this share of σ_max
 
 
 def regular_configuration(
-    sensor: Task, task: Task, rng: np.random.Generator, effort: Array | None = None
+    sensor: Task,
+    task: Task,
+    rng: np.random.Generator,
+    effort: Array | None = None,
+    tries: int = 1000,
 ) -> Array:
     """Return a random configuration that can be a start or a target.
 
@@ -27,7 +30,7 @@ def regular_configuration(
     """
     effort = sensor.robot.effort_limits if effort is None else effort
     dynamics = Dynamics(sensor.robot)
-    for _ in range(_TRIES):
+    for _ in range(tries):
         q = sensor.robot.random_configuration(rng)
         if holdable(dynamics, q, effort) and is_regular(sensor, task, q):
             return q
