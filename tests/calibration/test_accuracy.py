@@ -73,7 +73,9 @@ SETS = {
 }
 
 
-@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize(
+    "kind", ["circle", *(pytest.param(k, marks=pytest.mark.study) for k in SETS if k != "circle")]
+)
 def test_true_errors_are_as_large_as_claimed(kind):
     """In the mean over arms drawn as the prior has it, whether much or little is determined."""
     results = [nees(name, seed, SETS[kind]) for name in ("panda", "ur5") for seed in range(6)]
@@ -148,6 +150,7 @@ def test_few_data_leave_the_scale_of_errors_open():
     assert (found.sd[first] > 1.02 * found.scale * PRIOR["x"]).all()
 
 
+@pytest.mark.study
 @needs_recordings
 def test_real_errors_in_the_other_half_of_a_joints_range_are_as_claimed(panda):
     """A Franka arm seen by a camera, whose own errors are larger than noise."""

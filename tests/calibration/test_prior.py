@@ -295,7 +295,7 @@ def test_wrong_priors_are_refused():
 # -- in laws ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [0.0, 1.0])
+@pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.study), 1.0])
 @pytest.mark.parametrize("kind", ["tracking", "set-point"])
 def test_compiled_laws_learn_the_same_from_a_prior(kind, turn):
     belief, robot = belief_of(aj.load_robot("ur5"))
