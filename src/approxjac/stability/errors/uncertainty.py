@@ -375,6 +375,28 @@ class Uncertainty:
         drawn[self.d - n :] = self.factor * self._root.dot(rng.standard_normal(n))
         return drawn
 
+    def at(self, units: Array) -> Array:
+        """Return the values (N, d) of coordinates (N, d) that go from −1 to 1 over the set.
+
+        Those of learnt numbers beyond the unit ball are of the nearest point on the ellipsoid.
+        """
+        low, high, n = self.low, self.high, len(self._root)
+        values = 0.5 * (low + high) + 0.5 * (high - low) * units
+        if n:
+            ball = units[:, -n:]
+            ball = ball / np.maximum(1.0, np.linalg.norm(ball, axis=1, keepdims=True))
+            values[:, -n:] = self.factor * self._radius * ball @ self._root.T
+        return np.asarray(values)
+
+    def units_of(self, values: Array) -> Array:
+        """Return coordinates (N, d) of which `at` makes values (N, d) of the set."""
+        low, high, n = self.low, self.high, len(self._root)
+        units = (values - 0.5 * (low + high)) / np.where(high > low, 0.5 * (high - low), 1.0)
+        if n:
+            size = max(self.factor * self._radius, _SMALL)
+            units[:, -n:] = np.linalg.solve(self._root, values[:, -n:].T).T / size
+        return np.asarray(units)
+
     # -- the robots ---------------------------------------------------------------------
 
     @property
@@ -451,11 +473,22 @@ class Uncertainty:
 
     def describe_box(self) -> str:
         """Describe the ranges, such as "object length 0 to 0.3 m"."""
-        shown = []
+        alike: dict[tuple[str, str], dict[str, list[str]]] = {}  # range → axes → joints
         for name, unit, _, low, high in self._coordinates[: self.d - len(self._root)]:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
             least, most = (_described("", end, unit).strip() for end in ends)
-            shown.append(f"{label_of(name)} {least.removesuffix(f' {unit}')} to {most}")
+            size = f"{least.removesuffix(f' {unit}')} to {most}"
+            joint, _, kind = name.partition(" ") if name.endswith(tuple("xyz")) else (name, "", "")
+            alike.setdefault((size, kind), {}).setdefault(label_of(joint), [])
+        merged: dict[tuple[str, tuple[str, ...]], list[str]] = {}  # range, joints → kinds
+        for (size, kind), joints in alike.items():
+            merged.setdefault((size, tuple(joints)), []).append(kind)
+        shown = []
+        for (size, joints), kinds in merged.items():
+            kinds = [
+                k if j == 0 or k[:-1] != kinds[j - 1][:-1] else k[-1] for j, k in enumerate(kinds)
+            ]
+            shown.append(" ".join(filter(None, [", ".join(joints), ", ".join(kinds), size])))
         if (n := len(self._root)) > 0:
             shown.append(f"{n} learnt numbers up to {self.factor * self._radius:.3g} sd off")
         return ", ".join(shown) or "no error"
