@@ -331,12 +331,9 @@ def all_joints():
     return law_of(errors), errors, box
 
 
-def require_diverging(law, errors, growth):
-    """The robot that was found, simulated and linearised by itself, leaves its target."""
-    plant, dt = errors.plant(growth.values), 1e-3
-    local = aj.local_stability(plant, law, growth.q, dt)
-    assert not local.stable
-    assert -local.decay_rate == pytest.approx(growth.rate, rel=1e-6)
+def require_diverging(plant, law, growth):
+    """The robot that was found, simulated near its target, leaves it."""
+    dt = 1e-3
     target = plant.sensor.value(growth.q)
     rng = np.random.default_rng(0)
     q0 = growth.q + 1e-4 * rng.normal(size=len(growth.q))
@@ -348,7 +345,9 @@ def require_diverging(law, errors, growth):
     assert run.error_norm[-1] > 5.0 * run.error_norm[0]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.study) for k in range(1, 10))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.study) for k in range(1, 11))]
+)
 def test_the_robot_that_refutes_a_panda_with_all_joints_off_is_found(all_joints, seed):
     law, errors, box = all_joints
     loop = ClosedLoop(law, errors, box)
@@ -357,7 +356,12 @@ def test_the_robot_that_refutes_a_panda_with_all_joints_off_is_found(all_joints,
     assert growth.rate > 0.0
     assert (np.abs(errors.units_of(growth.values[np.newaxis])) <= 1.0 + 1e-12).all()
     assert box.contains(growth.q)
-    require_diverging(law, errors, growth)
+    plant = errors.plant(growth.values)
+    local = aj.local_stability(plant, law, growth.q, 1e-3)
+    assert not local.stable
+    assert -local.decay_rate == pytest.approx(growth.rate, rel=1e-6)
+    if seed:  # ten runs are of the study
+        require_diverging(plant, law, growth)
 
 
 @pytest.mark.study
