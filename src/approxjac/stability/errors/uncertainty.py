@@ -36,6 +36,7 @@ _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for
 _LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
 _OPTICS = "camera focal_length", "camera distance", "camera roll"  # some make no camera
+_AXES = {" x", " y", " z"}
 _LOOKS = 16  # configurations at which effects of learnt numbers are compared
 _STEP = 1e-5  # of a difference, either way [m or rad]
 _SMALL = 1e-6  # difference of numbers of the same arm [m or rad], or share that is nothing
@@ -473,22 +474,17 @@ class Uncertainty:
 
     def describe_box(self) -> str:
         """Describe the ranges, such as "object length 0 to 0.3 m"."""
-        alike: dict[tuple[str, str], dict[str, list[str]]] = {}  # range → axes → joints
+        # joints with the same range of the same error are named together
+        joints: dict[tuple[str, str], list[str]] = {}
         for name, unit, _, low, high in self._coordinates[: self.d - len(self._root)]:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
             least, most = (_described("", end, unit).strip() for end in ends)
+            joint, _, error = name.partition(" ") if name[-2:] in _AXES else (name, "", "")
             size = f"{least.removesuffix(f' {unit}')} to {most}"
-            joint, _, kind = name.partition(" ") if name.endswith(tuple("xyz")) else (name, "", "")
-            alike.setdefault((size, kind), {}).setdefault(label_of(joint), [])
-        merged: dict[tuple[str, tuple[str, ...]], list[str]] = {}  # range, joints → kinds
-        for (size, kind), joints in alike.items():
-            merged.setdefault((size, tuple(joints)), []).append(kind)
+            joints.setdefault((error, size), []).append(label_of(joint))
         shown = []
-        for (size, joints), kinds in merged.items():
-            kinds = [
-                k if j == 0 or k[:-1] != kinds[j - 1][:-1] else k[-1] for j, k in enumerate(kinds)
-            ]
-            shown.append(" ".join(filter(None, [", ".join(joints), ", ".join(kinds), size])))
+        for (error, size), of in joints.items():
+            shown.append(" ".join(filter(None, [" and ".join(of), error, size])))
         if (n := len(self._root)) > 0:
             shown.append(f"{n} learnt numbers up to {self.factor * self._radius:.3g} sd off")
         return ", ".join(shown) or "no error"

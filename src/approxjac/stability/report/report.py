@@ -472,7 +472,8 @@ def _short(report: StabilityReport, values: Array) -> str:
     some = truth.believed.copy()
     some[largest] = values[largest]
     named = truth.describe(some).split(", ")
-    return f"{', '.join(named[k] for k in largest)} and {truth.d - _NAMED} other errors (summary() names all)"
+    some_of = ", ".join(named[k] for k in largest)
+    return f"{some_of} and {truth.d - _NAMED} other errors (summary() names all)"
 
 
 def of_limits(cost: LimitCost) -> list[Row]:

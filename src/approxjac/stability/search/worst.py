@@ -206,7 +206,11 @@ def worst_constants(
     """Search for the cases in which constants of the sampled form are largest, as samples."""
     box, found = CaseBox(loop, pairs=True), []
     for name in [*form.constants, "energy"]:
-        score = scored(loop, box, lambda samples, name=name: form.elsewhere(samples).constant(name))
+
+        def large(samples: Samples, name: str = name) -> Array:
+            return form.elsewhere(samples).constant(name)
+
+        score = scored(loop, box, large)
         found.append(climb(score, box.starts(starts, rng), _STEPS // 2)[0])
     return _kept(loop, box, np.concatenate(found))
 
