@@ -474,17 +474,18 @@ class Uncertainty:
 
     def describe_box(self) -> str:
         """Describe the ranges, such as "object length 0 to 0.3 m"."""
-        # joints with the same range of the same error are named together
-        joints: dict[tuple[str, str], list[str]] = {}
+        axes: dict[tuple[str, str, str], list[str]] = {}
         for name, unit, _, low, high in self._coordinates[: self.d - len(self._root)]:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
             least, most = (_described("", end, unit).strip() for end in ends)
-            joint, _, error = name.partition(" ") if name[-2:] in _AXES else (name, "", "")
+            first, _, axis = name.rpartition(" ") if name[-2:] in _AXES else (name, "", "")
+            joint, _, error = first.rpartition(" ") if axis else (first, "", "")
             size = f"{least.removesuffix(f' {unit}')} to {most}"
-            joints.setdefault((error, size), []).append(label_of(joint))
-        shown = []
-        for (error, size), of in joints.items():
-            shown.append(" ".join(filter(None, [" and ".join(of), error, size])))
+            axes.setdefault((label_of(joint), error, size), []).append(axis)
+        alike: dict[tuple[str, str, str], list[str]] = {}  # joints, written once
+        for (joint, error, size), of in axes.items():
+            alike.setdefault((error, ", ".join(of), size), []).append(joint)
+        shown = [" ".join(filter(None, (", ".join(of), *each))) for each, of in alike.items()]
         if (n := len(self._root)) > 0:
             shown.append(f"{n} learnt numbers up to {self.factor * self._radius:.3g} sd off")
         return ", ".join(shown) or "no error"
