@@ -36,6 +36,7 @@ _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for
 _LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
 _OPTICS = "camera focal_length", "camera distance", "camera roll"  # some make no camera
+_HELD = ("length", "mass")  # of an object
 _AXES = {" x", " y", " z"}
 _LOOKS = 16  # configurations at which effects of learnt numbers are compared
 _STEP = 1e-5  # of a difference, either way [m or rad]
@@ -421,14 +422,27 @@ class Uncertainty:
         own = (known for known in self._coordinates if not known.name.startswith("camera "))
         if all(at[known.name] == known.believed for known in own):
             return self.belief()
-        held = (at.get(f"object_{n}", getattr(self, f"believed_{n}")) for n in ("length", "mass"))
+        held, *errors = self._differences(values)
+        return self._perturbation.robot(*held, *errors)
+
+    def differences(
+        self, values: Sequence[float] | Array
+    ) -> tuple[tuple[float, float], dict[str, Array], dict[str, Array]]:
+        """Return (length, mass) of the object; shifts and rotations of joints, each (3,)."""
+        held, *errors = self._differences(self._checked(values))
+        shifts, rotations = (dict(zip(self._joints, each, strict=True)) for each in errors)
+        return held, shifts, rotations
+
+    def _differences(self, values: Array) -> tuple[tuple[float, float], Array, Array]:
+        at = dict(zip(self.names, values.tolist(), strict=True))
+        length, mass = (at.get(f"object_{n}", getattr(self, f"believed_{n}")) for n in _HELD)
         parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
         places = [at.get(f"{joint} {kind} {axis}", 0.0) for kind, joint, axis in parts]
         errors = np.array(places).reshape(2, -1, 3)
         for each, learnt in zip(errors, self._errors(values), strict=False):
             for joint, error in learnt.items():
                 each[self._joints.index(joint)] = error
-        return self._perturbation.robot(*held, *errors)
+        return (length, mass), errors[0], errors[1]
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at values (d,), with its sensor and friction, in the box or not.
