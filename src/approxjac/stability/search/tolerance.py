@@ -27,7 +27,7 @@ _WORDS = {
 }
 _STEPS = 20  # of bisection
 _CONFIGURATIONS, _RUNS = 400, 100  # by default
-_STARTS, _ROUNDS = 6, 4  # of searches
+_STARTS = 6  # of a search
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +75,7 @@ def tolerances(
     tests: Sequence[Test] | Test = TESTS,
     *,
     largest: float = 10.0,
-    precision: float = 0.05,
+    precision: float = 0.1,
     draws: int | None = None,
     progress: Progress = None,
 ) -> dict[Test, Tolerance]:
@@ -173,5 +173,5 @@ def _failing(
     if loop.singular_configuration(samples) is not None:
         return np.array(loop.values[0])  # whatever the errors: the arm may stand still there
     held = None if loop.controller.adaptation is not None else latency
-    found = searched_test(loop, held, samples, rng, rounds=_ROUNDS)
+    found = searched_test(loop, held, samples, rng)
     return None if found.certified else np.array(loop.values[found.form.samples.truth[found.worst]])
