@@ -295,18 +295,6 @@ def best_weights(
     return Best(unknowns.weights(y), margins, active, y, cuts)
 
 
-def on_more(form: MatrixForm, family: Family, known: Best) -> Best:
-    """Return the best of a family on more samples; it changes only if a new one is worse."""
-    before = len(known.margins)
-    if before == len(form.samples):
-        return known
-    more = form.take(slice(before, None)).margins(known.weights)
-    least = known.margins.min()
-    if more.min() < least - _PRECISION or more.min() <= 0.0 < least:
-        return best_weights(form, family, known)
-    return known._replace(margins=np.append(known.margins, more))
-
-
 def _cutting_planes(
     form: MatrixForm, unknowns: FamilyNumbers, start: Array, cuts: Array
 ) -> tuple[Array, float, Array]:

@@ -127,7 +127,7 @@ def climb(score: Score, z: Array, steps: int = _STEPS) -> tuple[Array, Array]:
         better = values > best[rows] + _LEAST * np.abs(best[rows])
         z[rows[better]] = candidates[better, first[better]]
         best[rows[better]] = values[better]
-        goes_on[rows] = better
+        goes_on[rows] = better & np.isfinite(best[rows])  # nothing is worse than ∞
     return z, best
 
 
