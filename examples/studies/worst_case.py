@@ -14,7 +14,7 @@ from common import head, parser, row, run_all, write
 from scipy.optimize import differential_evolution
 
 import approxjac as aj
-from approxjac.stability.search.worst import CaseBox, fastest_growth, scored, searched_test
+from approxjac.stability.search.worst import CaseBox, fastest_growth, scored
 
 SCALES = (0.3, 0.5, 0.7, 0.9, 1.15)
 LOOKS, STARTS, SEED = 10_000, 12, 7
@@ -28,7 +28,7 @@ def two_link(shift, turn, object_):
     errors = aj.Uncertainty(
         arm, object_length=object_, object_mass=(0.0, 0.3), believed_length=object_[0],
         joint_shifts={joints[1]: (shift, shift, 0.0)},
-        joint_rotations={name: (0.0, 0.0, turn) for name in joints},
+        joint_rotations=dict.fromkeys(joints, (0.0, 0.0, turn)),
     )  # fmt: skip
     return errors, [0.5, 1.2]
 
@@ -114,7 +114,14 @@ def run_case(case):
             margin = -foreign(
                 loop, lambda at: -test.form.elsewhere(at).margins(test.weights), True  # noqa: B023
             )  # fmt: skip
-        found[str(scale)] = (report.passed, report.refuted, report.test.margin, margin, growth, taken)
+        found[str(scale)] = (
+            report.passed,
+            report.refuted,
+            report.test.margin,
+            margin,
+            growth,
+            taken,
+        )
     return found
 
 
