@@ -1,4 +1,4 @@
-"""How much of what is stable the searched report certifies, and whether a foreign search refutes it.
+"""How much of what is stable a searched report certifies, and whether a foreign search refutes it.
 
 Of each setup the errors are scaled. k* is the smallest scale at which the report's own search or
 the foreign one, SciPy's differential evolution on the exact linearisation, finds an unstable robot.
@@ -75,10 +75,11 @@ def foreign(loop, score, pairs, looks=LOOKS, seed=SEED):
     """Return the largest score that differential evolution finds."""
     box = CaseBox(loop, pairs)
     of = scored(loop, box, score)
-    size = max(20, min(60, 2 * box.size))
+    each = max(1, round(40 / box.size))  # of the population, for each coordinate
+    size = each * box.size
     best = differential_evolution(
         lambda z: -np.maximum(of(z.T), -1e6), [(-1.0, 1.0)] * box.size, vectorized=True,
-        updating="deferred", maxiter=looks // size - 1, popsize=size / box.size, polish=False,
+        updating="deferred", maxiter=looks // size - 1, popsize=each, polish=False,
         rng=seed, tol=0.0,
     )  # fmt: skip
     return -float(best.fun)
@@ -94,7 +95,7 @@ def is_unstable(setup, scale, with_foreign):
 
 
 def run_case(case):
-    """Return k*, and per scale whether it is certified, its margin, the foreign one, CPU seconds."""
+    """Return k*, and per scale the verdict, its margin, the foreign one, growth, CPU seconds."""
     setup, quick = case
     low, high = 0.0, 1.0
     while high < 16.0 and not is_unstable(setup, high, False):
