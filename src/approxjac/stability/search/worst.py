@@ -39,7 +39,7 @@ _STEPS = 12
 _LEAST = 1e-4  # relative improvement that goes on
 _STARTS = (6, 12)  # of the searches that have to find nothing
 _OF_CONSTANTS = 3
-ROUNDS = 8
+ROUNDS = 12
 
 Score = Callable[[Array], Array]
 
