@@ -41,8 +41,14 @@ from approxjac.stability.loop.samples import (
     terms_alone,
     traced_terms,
 )
-from approxjac.tasks import ImageTask, Task
-from approxjac.tasks.analysis import features, require_jacobian_of_q, sees, vanishing
+from approxjac.tasks import Task
+from approxjac.tasks.analysis import (
+    features,
+    image_feature,
+    require_jacobian_of_q,
+    sees,
+    vanishing,
+)
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5  # gravity torque that counts as none [N m or N]
@@ -345,7 +351,9 @@ class ClosedLoop:
 
     @cached_property
     def _has_camera(self) -> bool:
-        return any(isinstance(each, ImageTask) for each in features(self.plants[0].sensor))
+        sensor = self.plants[0].sensor
+        is_own = not features(sensor) and type(sensor).visible is not Task.visible
+        return is_own or image_feature(sensor) is not None
 
     def _of_values(self, values: Array) -> tuple[ClosedLoop, Indices]:
         """Return this loop with the true robots of some values; and which is whose, −1 if none."""

@@ -166,10 +166,11 @@ def _failing(
     loop: ClosedLoop, latency: Latency, test: Test, draws: int, rng: np.random.Generator
 ) -> Array | None:
     """The true values with which a test without simulation fails, or None if it passes."""
-    samples = loop.draw(draws, rng, inside=SHARED)  # refuses what no true robot sees
+    loop.targets(draws, rng)  # refuses what no true robot sees
     growth = fastest_growth(loop, latency.in_samples(), _STARTS, rng)
     if growth.grows or test == "stable":
         return growth.values if growth.grows else None
+    samples = loop.draw(draws, rng, inside=SHARED)
     if loop.singular_configuration(samples) is not None:
         return np.array(loop.values[0])  # whatever the errors: the arm may stand still there
     held = None if loop.controller.adaptation is not None else latency

@@ -40,6 +40,7 @@ _LEAST = 1e-4  # relative improvement that goes on
 _STARTS = (6, 12)  # of the searches that have to find nothing
 _OF_CONSTANTS = 3
 ROUNDS = 12
+_TRIES = 100  # of a start that is a case
 
 Score = Callable[[Array], Array]
 
@@ -73,7 +74,17 @@ class CaseBox:
         return Cases(values, q, None if self._of_targets else q)
 
     def starts(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw n starts: corners of all, corners of the robots alone, and inside, in turn."""
+        """Draw n starts, of cases where they are found; of one in a hundred points most are."""
+        z, left = np.empty((n, self.size)), np.arange(n)
+        for _ in range(_TRIES):
+            z[left] = self._drawn(len(left), rng)
+            left = np.delete(left, self._loop.judged(*self.cases(z[left]))[1])
+            if not len(left):
+                break
+        return z
+
+    def _drawn(self, n: int, rng: np.random.Generator) -> Array:
+        """Draw n points: corners of all, corners of the robots alone, and inside, in turn."""
         z = rng.uniform(-1.0, 1.0, (n, self.size))
         z[::3], z[1::3, : self._d] = np.sign(z[::3]), np.sign(z[1::3, : self._d])
         if self._of_targets and self._loop.target is not None:  # near those that attain it
