@@ -206,9 +206,7 @@ def test_a_function_is_checked_where_it_was_not_chosen(exact):
     loop, other = (
         ClosedLoop(law, aj.Plant(each, law.task.on(each)), box) for each in (robot, turned)
     )
-    first, fresh = (
-        each.draw(n, np.random.default_rng(0)) for each, n in ((loop, 16), (other, 9))
-    )
+    first, fresh = (each.draw(n, np.random.default_rng(0)) for each, n in ((loop, 16), (other, 9)))
     found = sampled_test(loop, first, Latency(1e-3))
     found = found.checked_on(first.take(slice(4)).join(fresh))
     assert found.margin >= RESERVE

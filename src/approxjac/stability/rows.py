@@ -20,8 +20,8 @@ _PARTS = {
 class Row(NamedTuple):
     """A finding of a report."""
 
-    # part of the report: "verdict", "tests", "beware", "limits", "rollouts", "worst", "other law" or
-    # "about"
+    # part of the report: "verdict", "tests", "beware", "limits", "rollouts", "worst", "other law",
+    # or "about"
     part: str
     name: str  # name of the test
     verdict: str  # a word or two; "" if there is none

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -37,6 +37,7 @@ _FARTHEST = 1e6  # error that is looked at
 _TIMES = 90  # that an interval of it is halved
 _LONGEST = 64.0  # times the period of the loop
 _BELOW = 0.999  # (14) is strict
+_KILOHERTZ = Latency()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,7 +111,7 @@ class SampledTest(MatrixTest):
     """Verdict of the matrix form of the sampled, late loop over a region."""
 
     form: SampledForm
-    latency: Latency = Latency()  # latency of the loop
+    latency: Latency = _KILOHERTZ  # latency of the loop
     is_slow: bool = False  # of slower motions than starts at all samples need
     most: float = math.inf  # bound of `level`
 

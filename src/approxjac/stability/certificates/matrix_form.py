@@ -485,11 +485,11 @@ class SampledForm(MatrixForm):
             return np.asarray(np.linalg.norm(root @ at.dg @ root.mT, 2, axis=(-2, -1)))
         if name == "stiffness":
             return sampled_form.stiffness_turn(D, at.dJ_hat, kp)
-        turned = at.M, D, at.J_hat, at.dJ_hat, kv
         if name == "curvature":
             D_c = D - np.diag(self._friction)
             return sampled_form.torque_curvature(at.M, at.dM, D, D_c, at.J_hat, at.dJ_hat, kv)
-        return sampled_form.damping_turn(*turned, along=name == "filtered")
+        is_filtered = name == "filtered"
+        return sampled_form.damping_turn(at.M, D, at.J_hat, at.dJ_hat, kv, is_filtered)
 
     @property
     def _growth(self) -> float:

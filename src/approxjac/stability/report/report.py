@@ -25,7 +25,7 @@ from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLo
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rows import Row, about_timing, as_json, as_text, ms
-from approxjac.stability.search.worst import Growth, fastest_growth, searched_test
+from approxjac.stability.search.worst import ROUNDS, Growth, fastest_growth, searched_test
 from approxjac.validation import Array
 
 _IF_IT_STAYS = "as long as the arm stays in the region"
@@ -217,7 +217,8 @@ def report_of(
     learns = loop.controller.adaptation is not None
     held = None if learns else latency
     on = partial(tell, "one function")
-    test = searched_test(loop, held, samples, rng, on, not growth.grows).checked_on(fresh)
+    rounds = 0 if growth.grows else ROUNDS
+    test = searched_test(loop, held, samples, rng, on, rounds).checked_on(fresh)
     chosen = test.form.samples
     everywhere = chosen.join(fresh)
     report = StabilityReport(
@@ -472,7 +473,8 @@ def _short(report: StabilityReport, values: Array) -> str:
     some = truth.believed.copy()
     some[largest] = values[largest]
     named = truth.describe(some).split(", ")
-    return f"{', '.join(named[k] for k in largest)} and {truth.d - _NAMED} other errors (summary() names all)"
+    some_of = ", ".join(named[k] for k in largest)
+    return f"{some_of} and {truth.d - _NAMED} other errors (summary() names all)"
 
 
 def of_limits(cost: LimitCost) -> list[Row]:

@@ -39,7 +39,7 @@ _STEPS = 12
 _LEAST = 1e-4  # relative improvement that goes on
 _STARTS = (6, 12)  # of the searches that have to find nothing
 _OF_CONSTANTS = 3
-_ROUNDS = 8
+ROUNDS = 12
 _TRIES = 100  # of a start that is a case
 
 Score = Callable[[Array], Array]
@@ -217,7 +217,11 @@ def worst_constants(
     """Search for the cases in which constants of the sampled form are largest, as samples."""
     box, found = CaseBox(loop, pairs=True), []
     for name in [*form.constants, "energy"]:
-        score = scored(loop, box, lambda samples, name=name: form.elsewhere(samples).constant(name))
+
+        def large(samples: Samples, name: str = name) -> Array:
+            return form.elsewhere(samples).constant(name)
+
+        score = scored(loop, box, large)
         found.append(climb(score, box.starts(starts, rng), _STEPS // 2)[0])
     return _kept(loop, box, np.concatenate(found))
 
@@ -235,7 +239,7 @@ def searched_test(
     samples: Samples,
     rng: np.random.Generator,
     tell: Callable[[float], None] = lambda share: None,
-    searches: bool = True,
+    rounds: int = ROUNDS,
 ) -> MatrixTest:
     """Choose a Lyapunov function in which a search finds no case of small margin.
 
@@ -248,19 +252,19 @@ def searched_test(
         samples: Samples to begin with.
         rng: Generator of the starts of the search.
         tell: Function called with the share done.
-        searches: False chooses the function on the given samples, without a search.
+        rounds: Number of functions at most; 0 chooses one on the given samples, without a search.
     """
-    if searches and latency is not None:
+    if rounds and latency is not None:
         form = sampled_form(loop, samples, latency)
         samples = samples.join(worst_constants(loop, form, _OF_CONSTANTS, rng))
     test: Any = None
-    for k in range(_ROUNDS):
-        tell((k + 1) / (_ROUNDS + 1))
+    for k in range(max(rounds, 1)):
+        tell((k + 1) / (rounds + 1))
         if latency is None:
             test = continuous_test(loop, samples, test)
         else:
             test = sampled_test(loop, samples, latency, test)
-        for starts in _STARTS if searches else ():
+        for starts in _STARTS if rounds else ():
             if test.margin < RESERVE:
                 break
             test = test.with_samples(worst_margins(loop, test.form, test.weights, starts, rng))
