@@ -114,9 +114,9 @@ def test_periods_are_certified_up_to_a_share_of_what_is_stable(report):
         held = replace(latency, period=period)
         return bool((report.loop.spectral_radii(worst, held) < 1.0).all())
 
-    certified = sampled.largest_period()
+    certified = sampled.largest_period()  # in the worst cases that a search found, too
     exact = largest(stable, latency.period)
-    assert 0.6 <= certified / exact <= math.pi / 4.0 + 0.02
+    assert 0.5 <= certified / exact <= math.pi / 4.0 + 0.02
     assert certified >= 5e-4
 
 

@@ -267,7 +267,7 @@ def test_with_one_target_it_is_attained(name, request):
 
 @pytest.mark.parametrize("name", ["tooled", "rolled"])
 def test_no_random_case_is_worse_than_what_is_found(name, request):
-    """For growth, of single robots and places; for the margin, and for each constant that it has."""
+    """For growth, of single robots and places; for the margin and each constant in it."""
     loop, rng = request.getfixturevalue(name), np.random.default_rng(3)
     timing = KHZ.in_samples()
     growth = fastest_growth(loop, timing, 6, rng)
@@ -308,7 +308,7 @@ def test_what_is_found_joins_what_the_function_is_chosen_on(shifted):
     assert_allclose(test.form.elsewhere(samples).margins(test.weights), test.margins)
     assert test.margin >= RESERVE
     assert shares == sorted(shares)
-    plain = searched_test(loop, KHZ, first, rng, searches=False)
+    plain = searched_test(loop, KHZ, first, rng, rounds=0)
     assert len(plain.margins) == len(first)
     # largest constants are of all that was found
     for name in plain.form.constants:
