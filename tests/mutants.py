@@ -1676,7 +1676,7 @@ MUTANTS = [
     ),
     (
         "compiled: a rate of an earlier target", "codegen/step.py",
-        "                where[:] = 0.0\n                return True",
+        "                flat[where] = 0.0\n                return True",
         "                return True", "tests/codegen/test_tracking.py",
     ),
     (
