@@ -444,12 +444,13 @@ MUTANTS = [
         "return is_own or image_feature(sensor) is not None", "return is_own", WORST,
     ),
     (
-        "robots that cannot exist are the one before", "stability/loop/closed_loop.py",
-        "index[k] = len(other.plants) - 1", "index[k:] = len(other.plants) - 1", WORST,
+        "robots that cannot exist are the first", "stability/loop/closed_loop.py",
+        "index, other.plants, other._numbers = np.full(len(different), -1), [], np.empty(0)",
+        "index, other.plants, other._numbers = np.full(len(different), 0), [], np.empty(0)", WORST,
     ),
     (
         "near the target is at the target", "stability/loop/closed_loop.py",
-        "return q, left <= _ATTAINED", "return q, left <= 1e-2", WORST,
+        "return q, left <= _ATTAINED", "return q, np.isfinite(left)", WORST,
     ),
     (
         "search beyond the ellipsoid", "stability/errors/uncertainty.py",

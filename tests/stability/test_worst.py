@@ -110,6 +110,19 @@ def test_a_maximum_inside_is_climbed_and_the_box_never_left():
     assert (z[possible, 4] <= 0.6).all()
 
 
+def test_the_strongest_coordinates_are_flipped_together():
+    """Two of ten, while the others lose by all but a short way along their slopes."""
+
+    def score(z):
+        return 2.0 * z[:, :2].sum(axis=1) + (0.1 * z[:, 2:] - 5.0 * z[:, 2:] ** 2).sum(axis=1)
+
+    start = np.zeros((1, 10))
+    start[0, :2] = -1.0
+    z, best = climb(score, start, 2)
+    assert best[0] > 3.9
+    assert_array_equal(z[0, :2], 1.0)
+
+
 def test_what_is_worse_than_any_number_ends_the_climb():
     """As of functions that are not positive; and what has no score at all is passed over."""
     z, best = climb(lambda z: np.where(z[:, 0] > 0.5, np.inf, z[:, 0]), np.zeros((1, 3)))
@@ -262,6 +275,17 @@ def test_with_one_target_it_is_attained(name, request):
     assert np.linalg.norm(found.e, axis=1).min() > 0.0
 
 
+def test_a_target_out_of_a_robots_reach_is_no_case_of_it(shifted):
+    q = np.array([[0.4, 0.3]] * 3)
+    values = np.array([shifted.truth.low, shifted.truth.high, shifted.truth.low])
+    target = shifted.truth.plant(values[1]).sensor.value(np.array([0.4, 0.05]))
+    region = aj.JointBox.around(shifted.truth.arm, q[0], 1.0)
+    loop = ClosedLoop(shifted.controller, shifted.truth, region, target)
+    found, which = loop.judged(values, q, None)
+    assert_array_equal(which, [1])
+    assert_allclose(loop.truth.plant(values[1]).sensor.value(found.q[0]), target, atol=1e-7)
+
+
 # -- what is found --------------------------------------------------------------------------------
 
 
@@ -288,7 +312,11 @@ def test_no_random_case_is_worse_than_what_is_found(name, request):
     found = worst_margins(loop, test.form, test.weights, 12, rng)
     margins = [test.form.elsewhere(each).margins(test.weights).min() for each in (found, drawn)]
     assert margins[0] <= margins[1] + 2e-3
-    assert_array_equal(np.unique(found.truth), np.arange(kept, len(loop.values)))  # kept by name
+    assert_array_equal(np.unique(found.truth), np.arange(kept, len(loop.values)))  # all are kept
+    again = loop.terms(found.truth, found.q, found.x_d)
+    assert_allclose(again.J, found.J, rtol=1e-9, atol=1e-12)
+    assert_allclose(again.M, found.M, rtol=1e-9, atol=1e-12)
+    assert len(np.unique(loop.values[found.truth], axis=0)) > 1  # or this would tell nothing
     found = worst_constants(loop, test.form, 2, rng)
     for constant in [*test.form.constants, "energy"]:
         sizes = [test.form.elsewhere(each).constant(constant).max() for each in (found, drawn)]
@@ -302,7 +330,8 @@ def test_what_is_found_joins_what_the_function_is_chosen_on(shifted):
     test = searched_test(loop, KHZ, first, rng, shares.append)
     samples = test.form.samples
     assert test.certified
-    assert len(samples) == len(test.margins) > len(first) + 12  # of constants and of margins
+    constants = [*test.form.constants, "energy"]  # three searches each, then 6 and 12 of margins
+    assert len(samples) == len(test.margins) >= len(first) + 3 * len(constants) + 18
     for field in ("q", "x_d", "truth"):
         assert_array_equal(getattr(samples, field)[: len(first)], getattr(first, field))
     assert_allclose(test.form.elsewhere(samples).margins(test.weights), test.margins)
