@@ -280,7 +280,7 @@ def test_a_report_of_ones_own_law_says_which_tests_apply():
 
 def test_near_targets_an_image_is_late_by_half_the_time_between_them_too():
     def rates(**latency):
-        found, refused = near_targets(setting, aj.Latency(period=2e-3, **latency), 2)
+        found, _, refused = near_targets(setting, aj.Latency(period=2e-3, **latency), 2)
         assert not refused
         return found.decay_rates
 
