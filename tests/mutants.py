@@ -1973,7 +1973,7 @@ MUTANTS = [
     ),
     (
         "map of another run stays", "scenario/judge.py",
-        '(out / f"map.{ending}").unlink(missing_ok=True)',
+        '(out / name).unlink(missing_ok=True)',
         "pass",
         "tests/cli/test_stability.py",
     ),

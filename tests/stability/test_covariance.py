@@ -230,9 +230,9 @@ def test_rollouts_in_lanes_are_those_of_python(study, known, learns):
 
 
 def test_tolerance_and_map_scale_the_ellipsoid(study):
-    (tolerance,) = study.tolerance(tests=["stable"], largest=2.0, draws=40).values()
-    assert tolerance.scale == 2.0
-    assert tolerance.uncertainty.factor == 2.0
+    (tolerance,) = study.tolerance(tests=["stable"], largest=0.5, draws=40).values()
+    assert tolerance.scale == 0.5
+    assert tolerance.uncertainty.factor == 0.5
     grid = study.map({"error": [0.0, 1.0], "a": [10.0, 20.0]}, 4)
     assert grid.share.shape == (2, 2)
     for (scale, _), runs in grid.points.items():

@@ -347,11 +347,11 @@ def test_a_report_finds_what_speaks_against_a_law():
 @pytest.mark.parametrize("kind", [TaskSpacePD, pytest.param(WindingUpNot, marks=pytest.mark.study)])
 def test_tolerance_of_ones_own_law_is_by_rollouts_and_near_targets(kind):
     study = study_of(kind, reach=0.3)
-    with pytest.raises(aj.InvalidInputError, match='tests must be "local" or "rollouts", got'):
+    with pytest.raises(aj.InvalidInputError, match='tests must be "stable" or "rollouts", got'):
         study.tolerance()
-    found = study.tolerance(["local", "rollouts"], draws=4, precision=0.2, largest=2.0)
+    found = study.tolerance(["stable", "rollouts"], draws=4, precision=0.2, largest=2.0)
     assert found["rollouts"].scale > 0.5
-    assert found["local"].scale > 0.5
+    assert found["stable"].scale > 0.5
 
 
 def with_certificates(task):
@@ -373,7 +373,7 @@ def test_tolerance_looks_at_as_many_targets_as_are_to_be_drawn(kind, monkeypatch
 
 @pytest.mark.parametrize("largest", [0.3, 1.5, 3.0])
 def test_what_never_fails_is_tolerated_up_to_the_most_that_is_tried(largest):
-    found = study_of(TaskSpacePD).tolerance(["local"], draws=3, largest=largest)["local"]
+    found = study_of(TaskSpacePD).tolerance(["stable"], draws=3, largest=largest)["stable"]
     assert (found.scale, found.fails_at, found.worst_text) == (largest, np.inf, "")
     assert found.uncertainty.high == pytest.approx([0.1 * largest])
 
