@@ -129,10 +129,10 @@ def tolerances(
                 return _failing(scaled, study.timing, test, draws or _CONFIGURATIONS, rng)
             if test == "stable":
                 setting = own.setting()
-                local, refused = near_targets(setting, own.timing, draws or _CONFIGURATIONS)
+                local, values, refused = near_targets(setting, own.timing, draws or _CONFIGURATIONS)
                 if refused:
                     raise InvalidInputError("; ".join(refused), given=study.controller)
-                return None if local.stable else setting.start(local.truth[local.worst]).values
+                return None if local.stable else values[local.worst]
             many = own.rollouts(draws or _RUNS, failures=1)
             return None if many.n_converged == many.n else many.runs[-1].values
         except UnattainedError as error:
