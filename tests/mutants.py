@@ -1063,8 +1063,8 @@ MUTANTS = [
     ),
     (
         "worst robot by its place", "stability/report/other_laws.py",
-        "self.setting.start(local.truth[local.worst]).values",
-        "self.setting.start(local.worst).values",
+        "self.setting.uncertainty.describe(self.values[local.worst])",
+        "self.setting.uncertainty.describe(self.values[0])",
         "tests/stability/test_own_laws.py",
     ),
     (
