@@ -1063,7 +1063,8 @@ MUTANTS = [
     ),
     (
         "worst robot by its place", "stability/report/other_laws.py",
-        "describe(self.values[local.worst])", "describe(self.values[0])",
+        "self.setting.uncertainty.describe(self.values[local.worst])",
+        "self.setting.uncertainty.describe(self.values[0])",
         "tests/stability/test_own_laws.py",
     ),
     (

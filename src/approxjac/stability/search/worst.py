@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.controllers.gains.gains import Latency, Timing
@@ -29,7 +30,7 @@ from approxjac.stability.certificates.certificate import (
 from approxjac.stability.certificates.matrix_form import MatrixForm, SampledForm, Weights
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.loop.samples import Samples
+from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 
 _STEP = 1e-2  # of a difference
