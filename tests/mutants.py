@@ -393,7 +393,7 @@ MUTANTS = [
     ),
     (
         "a climb that stays where it begins", "stability/search/worst.py",
-        "z[rows[better]] = candidates[better, first[better]]", "pass", WORST,
+        "z[rows[better]] = tried[better, first[better]]", "pass", WORST,
     ),
     (
         "a climb down the slope", "stability/search/worst.py",

@@ -43,7 +43,7 @@ def many(name, q, shift, turn, joints=None):
 
 
 PANDA, UR5 = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7], [0.0, -1.2, 1.5, -1.9, -1.5, 0.3]
-XARM, IIWA = [0.0, 0.3, 0.0, 0.9, 0.0, 0.8, 0.0], [0.2, 0.6, 0.1, -1.3, 0.2, 0.9, 0.0]
+XARM, KINOVA = [0.0, 0.3, 0.0, 0.9, 0.0, 0.8, 0.0], [0.3, 3.6, 1.8, 0.5, 0.6, 0.4]
 SETUPS = {
     "two-link, rotations": lambda: two_link(0.0, 0.2, (0.0, 0.1)),
     "two-link, shifts": lambda: two_link(0.1, 0.0, (0.0, 0.2)),
@@ -57,7 +57,7 @@ SETUPS = {
 }
 HELD_OUT = {  # that nothing was tuned on
     "xArm 7, all": lambda: many("xarm7", XARM, 0.04, 0.13),
-    "iiwa 14, rotations": lambda: many("iiwa14", IIWA, 0.0, 0.15),
+    "Kinova, rotations": lambda: many("kinova", KINOVA, 0.0, 0.15),
     "xArm 7, three joints": lambda: many("xarm7", XARM, 0.05, 0.2, 3),
 }
 

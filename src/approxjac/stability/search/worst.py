@@ -111,7 +111,17 @@ def climb(score: Score, z: Array, steps: int = _STEPS) -> tuple[Array, Array]:
     """
     k, z, best = z.shape[1], z.copy(), score(z)
     goes_on = np.isfinite(best)
-    for step in range(steps):
+
+    def improved(rows: Indices, tried: Array) -> NDArray[np.bool_]:
+        """Move to the worst of the points tried, (r, c, k), of those that are worse than before."""
+        found = score(tried.reshape(-1, k)).reshape(tried.shape[:2])
+        values, first = found.max(axis=1), found.argmax(axis=1)
+        better = values > best[rows] + _LEAST * np.abs(best[rows])
+        z[rows[better]] = tried[better, first[better]]
+        best[rows[better]] = values[better]
+        return better
+
+    for _ in range(steps):
         rows = np.flatnonzero(goes_on)
         if not len(rows):
             break
@@ -123,22 +133,14 @@ def climb(score: Score, z: Array, steps: int = _STEPS) -> tuple[Array, Array]:
         strongest = np.argsort(-np.abs(slopes * (corner - here)), axis=1)
         tried = [here + share * (corner - here) for share in _WAY]
         for count in _FLIPPED:
-            flipped = here.copy()
-            which = strongest[:, :count]
+            flipped, which = here.copy(), strongest[:, :count]
             np.put_along_axis(flipped, which, np.take_along_axis(corner, which, 1), 1)
             tried.append(flipped)
-        if step == steps - 1:  # or at last: one coordinate alone, at either end
-            for i in range(k):
-                for end in (-1.0, 1.0):
-                    tried.append(here.copy())
-                    tried[-1][:, i] = end
-        candidates = np.stack(tried, axis=1)
-        found = score(candidates.reshape(-1, k)).reshape(candidates.shape[:2])
-        first = found.argmax(axis=1)
-        values = found[np.arange(len(rows)), first]
-        better = values > best[rows] + _LEAST * np.abs(best[rows])
-        z[rows[better]] = candidates[better, first[better]]
-        best[rows[better]] = values[better]
+        better = improved(rows, np.stack(tried, axis=1))
+        if len(stuck := rows[~better]):  # one coordinate alone, at either end
+            ends = np.repeat(z[stuck, None], 2 * k, axis=1)
+            ends[:, range(k), range(k)], ends[:, range(k, 2 * k), range(k)] = -1.0, 1.0
+            better[~better] = improved(stuck, ends)
         goes_on[rows] = better & np.isfinite(best[rows])  # nothing is worse than ∞
     return z, best
 
