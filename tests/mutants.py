@@ -2042,7 +2042,7 @@ MUTANTS = [
         "in_part * (self.tip_sd[2] > _IN_PART)", "in_part * (self.tip_sd[0] > _IN_PART)", ACCURACY,
     ),
     (
-        "joints before the bag has them", "calibration/formats.py",
+        "joints before the bag has them", "calibration/recording.py",
         "(seen[0] >= first) & (seen[0] <= last)", "(seen[0] >= first)", FORMATS,
     ),
     (
