@@ -558,7 +558,7 @@ MUTANTS = [
     ),
     # -- the tracking law
     (
-        "gain beyond what the period allows", "controllers/gains/joint_gains.py",
+        "gain beyond what the period allows", "controllers/gains/motors.py",
         "min(_KAPPA, _STEADY / dt)", "_KAPPA", PERIODS,
     ),
     (
@@ -1468,7 +1468,7 @@ MUTANTS = [
         "tests/controllers/test_motor_damping.py",
     ),
     (
-        "the spring of what is slow is all learnt", "controllers/gains/joint_gains.py",
+        "the spring of what is slow is all learnt", "controllers/gains/motors.py",
         "all_slow * (_TO_LEARN if slowly else 1.0)", "all_slow * 1.0",
         "tests/controllers/test_motor_damping.py",
     ),
