@@ -591,6 +591,20 @@ def test_each_joint_is_faster_than_it_is_led_to_be_in_either_direction(arm):
     assert glided(arm, np.full(robot.nv, 0.99 * beyond.min()), None) == ([], "")
 
 
+@pytest.mark.parametrize(("share", "fault"), [(0.99, None), (1.01, Fault.TOO_FAST)])
+def test_a_slow_joint_that_slides_may_be_faster_by_a_decimetre_a_second(share, fault):
+    robot = aj.load_robot("tiago_arm", free="torso_lift_joint")
+    slides = np.array(robot.joint_units) == "m"
+    assert slides.sum() == 1
+    watch = FaultWatch(robot, 1e-3, ACCURATE, np.full(robot.nv, 0.3), 0.02, True)
+    q, v, none = robot.neutral(), share * 0.1 * slides, np.zeros(robot.nv)
+    for k in range(2):
+        there = pin.integrate(robot.model, q, k * 1e-3 * v)
+        measurement = aj.Measurement(k * 1e-3, there, v, np.zeros(3))
+        assert watch.look(measurement, 10.0 + k * 1e-3) is None
+        assert watch.commanded(none, none) is fault
+
+
 @pytest.mark.parametrize("arm", ARMS)
 def test_what_falls_at_the_start_may_be_faster_if_it_is_braked(arm):
     """As under a load that is not known yet: within 0.1 s, up to 0.75 of the largest speed."""
