@@ -1,6 +1,7 @@
 """Arms from recordings: drawn ones whose truth is known, and real ones where their files are."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -266,18 +267,25 @@ def test_what_a_tracker_leaves_has_the_derivatives_of_its_differences(rng):
         assert_allclose((more - less) / 2e-5, slope, atol=1e-6)
 
 
-def test_each_configuration_is_the_one_that_adds_most_information():
+@pytest.mark.parametrize("is_known", [False, True])
+def test_each_configuration_is_the_one_that_adds_most_information(is_known, rng):
     """By the matrix of information, which sums up what is measured, in place of its inverse."""
     arm = aj.load_robot("so101")
     q = np.array([*arm.configurations(60)])
     unknowns = Unknowns(KinematicRegressor(arm, axes=True), KINDS, USUAL_SD)
-    H = [np.hstack([unknowns.at(each, unknowns.u)[0], np.eye(3)]) / 2e-4 for each in q]
-    known, chosen = np.diag(np.append(unknowns.sd, np.ones(3)) ** -2.0), []
+    u, P, known = unknowns.u, np.diag(unknowns.sd**2), None
+    if is_known:  # some of it well, and some together only
+        u, mixed = u + 1e-3, np.linalg.qr(rng.normal(size=P.shape))[0]
+        P = mixed @ np.diag(np.geomspace(1e-8, 1e-2, len(P))) @ mixed.T
+        known = SimpleNamespace(kinds=KINDS, names=tuple(unknowns.names), covariance=P, learnt=u)
+    H = [np.hstack([unknowns.at(each, u)[0], np.eye(3)]) / 2e-4 for each in q]
+    before, chosen = np.eye(len(P) + 3), []
+    before[: len(P), : len(P)] = np.linalg.inv(P)
     for _ in range(7):
-        adds = [np.linalg.slogdet(known + each.T @ each)[1] for each in H]
+        adds = [np.linalg.slogdet(before + each.T @ each)[1] for each in H]
         chosen.append(max(set(range(60)) - set(chosen), key=adds.__getitem__))
-        known = known + H[chosen[-1]].T @ H[chosen[-1]]
-    found = next_configurations(arm, None, 7, q)
+        before = before + H[chosen[-1]].T @ H[chosen[-1]]
+    found = next_configurations(arm, known, 7, q)
     np.testing.assert_array_equal(found, q[chosen])
 
 

@@ -119,6 +119,19 @@ def test_the_error_is_one_line_with_option_value_and_what_is_valid(
     assert [part for part in parts if part not in message] == [], message
 
 
+@pytest.mark.parametrize(
+    ("words", "start"),
+    [
+        ("simulate pando --seed 1", "robot 'pando'"),  # which the seed has no part in
+        ("simulate panda --sensor.lost-part 5 --sensor.lost 0 1", "--sensor.lost-part must be"),
+        ("simulate panda --seed 2 --believed.shifts joint9 0 0 1", "--believed.shifts: joint "),
+    ],
+)
+def test_the_error_begins_with_the_option_at_fault_and_no_other(words, start, capsys):
+    assert main(words.split()) == 2
+    assert capsys.readouterr().err.startswith(f"approxjac: {start}")
+
+
 def sample(hint):
     """Words of a value of a type."""
     origin, inner = get_origin(hint), get_args(hint)

@@ -118,6 +118,28 @@ def test_a_frame_is_of_the_configuration_at_which_it_was_taken(kinematics, arm, 
     assert_allclose(kinematics.learnt(state), believed, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("delay", "age", "is_known"),
+    [(0.0, 0.2, True), (0.0, 0.3, False), (0.3, None, True), (0.3, 0.58, True), (0.3, 0.65, False)],
+)
+def test_frames_are_of_use_up_to_a_quarter_of_a_second_or_twice_the_delay(
+    arm, delay, age, is_known
+):
+    """The age is that of the delay where nobody tells it."""
+    task = aj.PositionTask(arm, axes="xz")
+    kinematics = AdaptiveKinematics(task, ("tool", "offset"), delay=delay)
+    dt, speed, state, late = 0.01, np.array([0.5, -0.7]), None, delay if age is None else age
+    for k in range(100):
+        t, taken = k * dt, k * dt - late
+        x = task.value(AT + max(taken, 0.0) * speed)
+        seen = aj.Measurement(t, AT + t * speed, speed, x, None if age is None else taken)
+        state = kinematics.initial_state(seen) if state is None else state
+        state = kinematics.step(state, seen, dt)
+    report = kinematics.report(state)
+    assert (report.seconds > 0.2) == is_known
+    assert_allclose(kinematics.learnt(state), [row.believed for row in report.rows], atol=1e-5)
+
+
 @pytest.mark.parametrize("dt", [1e-3, 4e-3, 7e-3])
 @pytest.mark.parametrize("age", [0.05, 0.003, 0.0])
 def test_a_delay_is_known_as_well_as_the_speed_of_x_tells(arm, dt, age):

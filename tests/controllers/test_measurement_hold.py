@@ -288,6 +288,27 @@ def test_the_controller_has_the_last_word_on_the_status(panda):
     assert loop.step(LOST).status is Status.NEAR_SINGULAR
 
 
+@pytest.mark.parametrize("says", ["OK", "HOLDING", "NEAR_SINGULAR", "OUT_OF_REACH"])
+def test_where_the_controller_says_nothing_worse_a_held_x_is_named(task, says, monkeypatch):
+    """Also while its joints stand, which is the rule where no new x comes."""
+    advance = aj.SetpointController.advance
+
+    def saying(law, *arguments):
+        after, answer = advance(law, *arguments)
+        return after, answer._replace(status=Status[says])
+
+    monkeypatch.setattr(aj.SetpointController, "advance", saying)
+    x = task.value(START)
+    held = Loop(aj.HeldMeasurement(LAW, 10.0), x, x)
+    assert held.step(x).status is Status[says]
+    named = Status.MEASUREMENT_HELD if says in ("OK", "HOLDING") else Status[says]
+    assert held.step(x).status is named
+    predicted = Loop(aj.controllers.PredictedMeasurement(LAW, aj.AdaptiveKinematics(task)), x, x)
+    assert predicted.step(x).status is Status[says]
+    named = Status.PREDICTED if says in ("OK", "HOLDING") else Status[says]
+    assert predicted.step(LOST).status is named
+
+
 def test_poses_and_continuous_joints(rng):
     robot = aj.load_robot("kinova")
     task = aj.PoseTask(robot)

@@ -45,11 +45,19 @@ class HighElbow(Limit):
 # -- rows ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["panda", "kinova", "tiago_arm"])
-def test_rows_are_second_derivatives(name, rng):
-    """A q̈ + drift is d²h/dt² along q(t), by differences."""
+def largest_fall(h, a):
+    """How fast a height h above a limit may fall, with a deceleration a: see `terms_of`."""
+    return min(10.0 * h, np.sqrt(2.0 * a * h - (a / 10.0) ** 2) if h > a / 100.0 else np.inf)
+
+
+@pytest.mark.parametrize(
+    ("name", "frame"),
+    [("panda", None), ("kinova", None), ("tiago_arm", None), ("panda", "panda_link6")],
+)
+def test_rows_are_second_derivatives(name, frame, rng):
+    """A q̈ + drift is d²h/dt² along q(t), by differences, and the bounds are without the drift."""
     robot = aj.load_robot(name)
-    kinematics = FrameKinematics(robot, robot.tip)
+    kinematics, frames = FrameKinematics(robot, frame or robot.tip), [frame] if frame else []
     normal = np.array([1.0, 2.0, -2.0]) / 3.0
     for _ in range(5):
         q, v = robot.random_configuration(rng), rng.normal(size=robot.nv)
@@ -64,12 +72,15 @@ def test_rows_are_second_derivatives(name, rng):
             return np.linalg.norm(kinematics.jacobian(moved)[:3] @ (v + t * a))
 
         terms = terms_of(robot, q, v)
-        drift = terms.drift()[:3]
+        drift = terms.drift(frame)[:3]
         second = (height(step) - 2.0 * height(0.0) + height(-step)) / step**2
-        A, low, high = Wall([0.1, 0.2, 0.3], 5.0 * normal, margin=0.05).rows(terms, v, 1e-3)
+        point = kinematics.position(q) - 0.151 * normal  # 0.1 beyond its margin, and 1 mm
+        A, low, high = Wall(point, 5.0 * normal, 0.05, frames).rows(terms, v, 1e-3)
         assert (A @ a + normal @ drift).item() == pytest.approx(second, rel=1e-4, abs=1e-4)
+        falls = largest_fall(0.1, np.abs(A * terms.deceleration).max())
+        assert low.item() == pytest.approx(-100.0 * (falls + (A @ v).item()) - normal @ drift)
         assert np.isinf(high).all()
-        A, low, high = CartesianSpeed(0.3).rows(terms, v, 1e-3)
+        A, low, high = CartesianSpeed(0.3, frame).rows(terms, v, 1e-3)
         along = kinematics.jacobian(q)[:3] @ v
         along /= np.linalg.norm(along)
         rate = (speed(step) - speed(-step)) / (2.0 * step)
@@ -87,10 +98,7 @@ def test_a_wall_is_come_to_as_a_joints_limit_is(panda):
     for h in (2e-3, 0.01, 0.3, -0.02):
         terms = terms_of(panda, q, still)
         A, low, _ = Wall(p - (h + clear) * normal, normal).rows(terms, still, 1e-3)
-        a = np.abs(A * terms.deceleration).max()
-        falls = min(10.0 * h, np.sqrt(2.0 * a * h - (a / 10.0) ** 2) if h > a / 100.0 else np.inf)
-        if h < 0.0:
-            falls = -0.05
+        falls = -0.05 if h < 0.0 else largest_fall(h, np.abs(A * terms.deceleration).max())
         assert low.item() == pytest.approx(-100.0 * falls)
         late = terms_of(panda, q, still, jerk=np.full(7, 50.0))
         _, later, _ = Wall(p - (h + clear) * normal, normal).rows(late, still, 1e-3)

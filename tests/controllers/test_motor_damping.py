@@ -14,13 +14,14 @@ from approxjac.controllers import (
     ModelDynamics,
     TrackingGains,
 )
-from approxjac.controllers.gains.joint_gains import JointGains, slow_feedback
 from approxjac.controllers.gains.motors import (
+    JointGains,
     integral_rate,
     largest_inertia,
     largest_rate,
     least_rotors,
     motor_damping,
+    slow_feedback,
 )
 from approxjac.robots import Drives, Dynamics, Friction
 from approxjac.simulation import Computation
@@ -28,6 +29,8 @@ from approxjac.simulation import Computation
 LATE = aj.Latency(
     1e-3, torque_delay=1e-3, velocity_filter=5e-3, image_period=1 / 60, image_age=0.03
 )
+
+HOME = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
 
 
 @pytest.fixture(scope="module")
@@ -394,6 +397,30 @@ def test_what_is_slow_is_together_the_spring_that_c_allows_for(name):
     assert_allclose(learnt, 0.4 * allowed)
     acts = learnt + slow.omega * (kappa + slow.alpha) * inertia[heaviest]
     assert 0.4 * allowed < acts <= allowed * (1.0 + 1e-9)
+
+
+def test_the_next_run_goes_on_with_the_damping_and_how_fast_it_may_rise(panda):
+    law = aj.TrackingController(aj.PositionTask(panda), latency=LATE)
+    first = aj.Measurement(0.0, HOME, np.zeros(7), law.task.value(HOME), 0.0)
+    state, rises = law.initial_state(first), []
+    memory = slice(law._end, law._end + 14)
+    state[memory] = np.append(np.full(7, 0.3), np.linspace(0.1, 2.0, 7))
+    for each in (state, law.resumed(state, first._replace(t=9.0, t_x=9.0))):
+        after, _ = law.step(each, first, first.x, LATE.period)
+        rises.append((after - each)[memory][:7])
+    assert np.abs(rises[0]).min() > 0.0
+    assert_allclose(rises[1], rises[0], rtol=1e-9)
+
+
+def test_what_is_slow_does_not_wind_up_before_a_first_x(panda):
+    """Until then the joints rest, whatever the target is; then all is as if it had just begun."""
+    law = aj.TrackingController(aj.PositionTask(panda), latency=LATE)
+    assert law._slow is not None
+    blind = aj.Measurement(0.0, HOME, np.zeros(7), np.full(3, np.nan), 0.0)
+    state, ways = law.initial_state(blind), slice(law._led + 7, law._ways)
+    state[ways] = 0.05
+    state, _ = law.step(state, blind, law.task.value(HOME) + 0.2, LATE.period)
+    assert not state[ways].any()
 
 
 class Later:

@@ -101,6 +101,29 @@ def test_compiled_it_is_the_same_and_it_moves_no_tip(command):
     assert runs[1].error_norm[late].max() < 1.5 * runs[2].error_norm[late].max() + 1e-3
 
 
+def test_a_servo_is_sent_ahead_by_how_the_taught_motion_changes(panda):
+    """Of joints that follow it exactly: L̂ times the rate of q̇_r, by differences."""
+    task, dt, lag = aj.PositionTask(panda), 1e-4, 1e-4
+    kinematics = AdaptiveKinematics(task, ("tool",), noise=1e-4, dt=dt)
+    law_ = aj.TrackingController(
+        task, kinematics=kinematics, gains=TEACH, command="velocity", dt=dt
+    ).guarded(None)
+    circle = aj.Circle(task.value(q := np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])), 0.05, 4.0)
+    v, state, references, ahead = np.zeros(7), None, [], []
+    for k in range(40):
+        now = aj.Measurement(k * dt, q, v, task.value(q), k * dt)
+        state = law_.initial_state(now) if state is None else state
+        state[0], state[law_._end : law_._last] = lag, v  # it may go on from here
+        state, answer = law_.step(state, now, circle.at(k * dt), dt)
+        v = answer.reference
+        q = q + dt * v
+        references.append(v)
+        ahead.append((answer.torque - v) / lag)
+    rate, found = np.diff(references[10:], axis=0) / dt, np.array(ahead[10:-1])
+    assert np.abs(rate).max() > 0.1
+    assert_allclose(found, rate, atol=0.02 * np.abs(rate).max())
+
+
 def test_the_last_encoder_is_no_news_beside_a_tool():
     """It only turns the tool: of that no motion tells, and the covariance says so."""
     arm = Arm("panda", 91)

@@ -390,6 +390,18 @@ def test_targets_may_turn_round_in_mid_motion(plant, controller, monkeypatch):
     assert run(driver_of(plant), controller, 1.5).fault is None
 
 
+def test_motors_behind_gears_stand_with_an_arm_that_is_braked(plant):
+    drives = aj.robots.Drives.usual(plant.robot)
+    driver = SimulatedDriver(aj.Plant(plant.robot, drives=drives), START, pace=math.inf)
+    for _ in range(30):
+        driver.read()
+        driver.send(0.3 * plant.robot.effort_limits)
+    assert np.abs(driver.read().v).max() > 0.05  # at the motors, where the encoders are
+    driver.brake()
+    driver.read()
+    assert not driver.read().v.any()
+
+
 def test_gravity_is_added_once(plant):
     arm = plant.robot
     adds = aj.Plant(arm, adds_gravity=arm)

@@ -33,6 +33,20 @@ def test_it_is_linear_in_the_arms_own_parameters(robot, rng):
         assert_allclose(regressor.Z(q) @ regressor.a[: regressor.links], dynamics.g(q), atol=1e-12)
 
 
+def test_units_are_those_of_joints_that_turn_and_that_slide():
+    robot = aj.load_robot("tiago_arm", free="torso_lift_joint")
+    assert set(robot.joint_units) == {"rad", "m"}
+    regressor = DynamicsRegressor(robot)
+    units = dict(zip(regressor.names, regressor.units, strict=True))
+    wanted = {
+        "rad": {"rotor": "kg m²", "viscous": "N m s/rad", "coulomb": "N m", "constant": "N m"},
+        "m": {"rotor": "kg", "viscous": "N s/m", "coulomb": "N", "constant": "N"},
+    }
+    for joint, kind in zip(robot.joint_names, robot.joint_units, strict=True):
+        found = {name: units[f"{joint}.{name}"] for name in wanted[kind]}
+        assert found == wanted[kind]
+
+
 def test_c_is_symmetric_and_dissipates_nothing(robot, rng):
     """C(q, v)w = C(q, w)v, and vᵀ(Ṁ − 2C)v = 0 along the motion."""
     regressor, q = DynamicsRegressor(robot), robot.random_configuration(rng)

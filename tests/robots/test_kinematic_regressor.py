@@ -143,6 +143,19 @@ def test_orientations_turn_with_axes_and_encoders(kinds, frame, rng, axes):
     assert turn.A.any() == axes
 
 
+@pytest.mark.parametrize("frame", ["panda_link7", "panda_hand"])
+def test_a_tool_that_is_only_turned_stays_where_it_is(frame, panda, rng):
+    """On a link that a joint moves, and on a fixed one."""
+    turn, q = np.array([0.3, -0.2, 0.5]), panda.random_configuration(rng)
+    regressor = KinematicRegressor(panda, frame)
+    robot = regressor.robot_with(regressor.theta, turn)
+    R, p = FrameKinematics(panda, frame).placement(q)
+    turned = robot.tip if frame == "panda_link7" else frame
+    found, there = FrameKinematics(robot, turned).placement(q)
+    assert_allclose(there, p, atol=1e-12)
+    assert_allclose(found, R @ pin.exp3(turn), atol=1e-9)
+
+
 def test_the_jacobian_is_the_derivative_of_the_position(arm, rng):
     regressor = KinematicRegressor(arm)
     q, v, theta, _ = drawn(regressor, rng)

@@ -53,6 +53,15 @@ def test_friction_delay_and_servo_are_those_of_the_plant():
     assert plant.actuator_delay == 8e-3
 
 
+@pytest.mark.parametrize(
+    ("sensor", "compensates"),
+    [({}, True), ({"q_noise": 1e-5}, True), ({"rate": 50.0}, False), ({"delay": 0.01}, False)],
+)
+def test_friction_is_compensated_where_x_is_as_recent_as_q(sensor, compensates):
+    law = build_scenario(Scenario("two_link", sensor=sensor)).law
+    assert (law.friction is not None) == compensates
+
+
 @pytest.mark.parametrize(("given", "f"), [({}, 0.05), ({"focal_length": 0.08}, 0.08)])
 def test_a_planar_camera_is_believed_with_the_errors_that_are_said(given, f):
     """About the true one: it is rolled by itself."""
@@ -274,6 +283,15 @@ def test_a_study_is_of_the_robots_that_may_be_true(study):
         assert_array_equal(plant.friction, [0.7] * 2)
     exact = studied(controller={"gravity": "exact"})  # which is then not felt
     assert not exact.uncertainty.plant([0.2, 1.0]).robot.gravity.any()
+
+
+def test_a_study_is_about_the_arm_that_is_believed_wrong():
+    shifts, rotations = {"joint2": (0.01, 0.0, 0.02)}, {"joint1": (0.0, 0.1, 0.0)}
+    for wrong in ({"shifts": shifts}, {"rotations": rotations}):
+        own = studied(believed=wrong)
+        arm = aj.load_robot("two_link").with_kinematic_error(**wrong)
+        assert own.uncertainty.belief() == arm.with_object(0.1, 0.3, axis="z")
+        assert own.controller.law.task.robot == own.uncertainty.belief()
 
 
 def test_a_study_is_of_the_loop_that_runs(study):

@@ -379,8 +379,13 @@ def test_what_limits_did_is_told(limited):
     assert limits["status_counts"]["PROOF_GIVEN_UP"] > 0
     assert limits["largest_slack_W"] == np.nanmax(limited.run.slack) > 0.0
     assert limits["largest_torque_violation"] <= 1e-9
-    speeds = np.abs(limited.run.v) / aj.load_robot("panda").velocity_limits
+    panda = aj.load_robot("panda")
+    speeds = np.abs(limited.run.v) / panda.velocity_limits
     assert limits["peak_speed_ratio"] == speeds.max()
+    slow = dataclasses.replace(limited.built.limits, velocity=0.5 * panda.velocity_limits)
+    built = dataclasses.replace(limited.built, limits=slow)
+    of_slow = dataclasses.replace(limited, built=built).summary()["limits"]
+    assert of_slow["peak_speed_ratio"] == pytest.approx(2.0 * speeds.max())
     assert summary["peak_torque_ratio"] == pytest.approx(1.0)
     axes = {ax.get_title(): ax for ax in report.draw(limited).axes}
     assert len(axes) == 4

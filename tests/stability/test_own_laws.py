@@ -15,6 +15,7 @@ from scipy.linalg import expm
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Posture
 from approxjac.stability.loop import linearization as local_module
+from approxjac.stability.loop.linearization import LocalTest
 from approxjac.stability.report.other_laws import near_targets
 
 GOAL = np.array([0.5, 1.2])
@@ -351,6 +352,23 @@ def test_tolerance_of_ones_own_law_is_by_rollouts_and_near_targets(kind):
     found = study.tolerance(["local", "rollouts"], draws=4, precision=0.2, largest=2.0)
     assert found["rollouts"].scale > 0.5
     assert found["local"].scale > 0.5
+
+
+def with_certificates(task):
+    return aj.SetpointController(task, aj.Gains(60.0, 20.0, 1.0))
+
+
+@pytest.mark.parametrize("kind", [TaskSpacePD, with_certificates])
+def test_tolerance_looks_at_as_many_targets_as_are_to_be_drawn(kind, monkeypatch):
+    of, counts = LocalTest.of, []
+
+    def counted(found, q, truth):
+        counts.append(len(q))
+        return of(found, q, truth)
+
+    monkeypatch.setattr(LocalTest, "of", counted)
+    study_of(kind).tolerance(["local"], draws=4, largest=1.0)
+    assert counts == [4, 4]  # without errors, and with all of them
 
 
 @pytest.mark.parametrize("largest", [0.3, 1.5, 3.0])

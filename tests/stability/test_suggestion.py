@@ -10,6 +10,7 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import tuned
 from approxjac.controllers.gains.sample_configurations import sample_configurations
+from approxjac.controllers.gains.tuning import default_gains, position_gains
 from approxjac.stability.certificates.certificate import largest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.search import suggested_gains
@@ -127,6 +128,31 @@ def test_torques_at_the_start_are_those_of_the_law_that_carries_the_weight(monke
         weight = errors.plant(loop.values[t]).dynamics.g(q)
         shares.append(np.abs(torque + weight) / limits)
     assert first.torque_ratio == pytest.approx(np.max(shares), rel=1e-9)
+
+
+def test_candidates_are_tried_from_the_default_gains_on_to_those_far_from_them(monkeypatch):
+    """As far as all factors together say; of two that are as far, the slower one is first."""
+    monkeypatch.setattr(suggested_gains, "_TARGETS", 2)
+    for name in ("_RATES", "_STIFFNESS", "_DAMPING"):
+        factors = (1.0, 0.5, 2.0) if name == "_STIFFNESS" else (1.0, 2.0, 4.0)
+        monkeypatch.setattr(suggested_gains, name, factors)
+    arm, plane = aj.load_robot("two_link"), functools.partial(aj.PositionTask, axes="xz")
+    errors = aj.Uncertainty(arm, plane, object_length=(0.0, 0.1), object_axis="x")
+    law = law_of(errors, aj.Gains(60.0, 20.0, 1.0))
+    study = aj.Study(law, errors, aj.JointBox.around(arm, (0.4, 1.2), 0.1))
+    found = study.gains(1.0, test="local", configurations=1, torque_limits=1e-6)  # none will do
+    task, factors = law.task, []
+    usual = default_gains(task, 1.0, 1.0 / study.timing.of_velocity)
+    for gains in (each.gains for each in found.tried):
+        kv, damping = (
+            np.max(getattr(gains, name) / getattr(usual, name)) for name in ("kv", "damping")
+        )
+        rate = np.max(gains.kp / position_gains(task, gains.kv, gains.damping, 1.0))
+        factors.append((rate, max(kv, 1.0 / kv) * np.sqrt(damping)))
+    far = np.round([(rate * others, rate) for rate, others in factors], 9).tolist()
+    assert len(far) == 27
+    assert far[0] == [1.0, 1.0]
+    assert far == sorted(far)
 
 
 @pytest.mark.usefixtures("one_candidate")
