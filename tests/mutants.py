@@ -1490,7 +1490,7 @@ MUTANTS = [
     ),
     (
         "joints that stand tell their friction", "robots/dynamics_fit.py",
-        "self.moves = np.abs(v) > _SLOW", "self.moves = np.abs(v) >= 0.0",
+        "moves, block = np.abs(v) > _SLOW", "moves, block = np.abs(v) >= 0.0",
         "tests/robots/test_dynamics_fit.py",
     ),
     (
