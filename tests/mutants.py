@@ -1902,6 +1902,11 @@ MUTANTS = [
         INSTANTS,
     ),
     (
+        "axes that are learnt do not turn a camera", "controllers/learning/learnt_camera.py",
+        "A.dot(moved) + w.dot(turned.T)", "A.dot(moved) + 0.0 * w.dot(turned.T)",
+        "tests/controllers/test_adaptive_camera.py",
+    ),
+    (
         "covariance of a camera's turn of the wrong sign", "controllers/learning/learnt_camera.py",
         '{"rad": -1.0, "px": learnt}', '{"rad": 1.0, "px": learnt}',
         "tests/controllers/test_adaptive_camera.py",
