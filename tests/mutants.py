@@ -2172,7 +2172,7 @@ MUTANTS = [
         "tests/controllers/test_adaptive_kinematics.py",
     ),
     (
-        "the noise of next places in m, not m²", "calibration/next_configurations.py",
+        "the noise of next places in m, not m²", "calibration/calibrate.py",
         "best @ CH + _NOISE**2 * np.eye(3)", "best @ CH + _NOISE * np.eye(3)",
         "tests/calibration/test_calibrate.py",
     ),
