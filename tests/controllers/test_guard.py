@@ -265,7 +265,7 @@ def test_a_servo_may_follow_any_command_within_two_milliseconds():
     robot = AtRest()
     for _ in range(40):
         command = robot.step(GOAL)
-        robot.v = robot.v + (1.0 - np.exp(-DT / 2e-3)) * (command - robot.v)
+        robot.v = robot.v + 0.55 * (command - robot.v)
         robot.q = robot.q + DT * robot.v
     assert np.abs(robot.v).max() > 0.1
     assert set(robot.statuses) == {aj.Status.OK}
