@@ -704,7 +704,7 @@ MUTANTS = [
     ),
     # -- the tracking law
     (
-        "gain beyond what the period allows", "controllers/gains/joint_gains.py",
+        "gain beyond what the period allows", "controllers/gains/motors.py",
         "min(_KAPPA, _STEADY / dt)", "_KAPPA", PERIODS,
     ),
     (
@@ -1614,7 +1614,7 @@ MUTANTS = [
         "tests/controllers/test_motor_damping.py",
     ),
     (
-        "the spring of what is slow is all learnt", "controllers/gains/joint_gains.py",
+        "the spring of what is slow is all learnt", "controllers/gains/motors.py",
         "all_slow * (_TO_LEARN if slowly else 1.0)", "all_slow * 1.0",
         "tests/controllers/test_motor_damping.py",
     ),
@@ -1636,7 +1636,7 @@ MUTANTS = [
     ),
     (
         "joints that stand tell their friction", "robots/dynamics_fit.py",
-        "self.moves = np.abs(v) > _SLOW", "self.moves = np.abs(v) >= 0.0",
+        "moves, block = np.abs(v) > _SLOW", "moves, block = np.abs(v) >= 0.0",
         "tests/robots/test_dynamics_fit.py",
     ),
     (
@@ -1740,7 +1740,7 @@ MUTANTS = [
     ),
     (
         "compiled: a rate of an earlier target", "codegen/step.py",
-        "                where[:] = 0.0\n                return True",
+        "                flat[where] = 0.0\n                return True",
         "                return True", "tests/codegen/test_tracking.py",
     ),
     (
@@ -2188,7 +2188,7 @@ MUTANTS = [
         "in_part * (self.tip_sd[2] > _IN_PART)", "in_part * (self.tip_sd[0] > _IN_PART)", ACCURACY,
     ),
     (
-        "joints before the bag has them", "calibration/formats.py",
+        "joints before the bag has them", "calibration/recording.py",
         "(seen[0] >= first) & (seen[0] <= last)", "(seen[0] >= first)", FORMATS,
     ),
     (

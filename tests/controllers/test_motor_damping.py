@@ -14,13 +14,14 @@ from approxjac.controllers import (
     ModelDynamics,
     TrackingGains,
 )
-from approxjac.controllers.gains.joint_gains import JointGains, slow_feedback
 from approxjac.controllers.gains.motors import (
+    JointGains,
     integral_rate,
     largest_inertia,
     largest_rate,
     least_rotors,
     motor_damping,
+    slow_feedback,
 )
 from approxjac.robots import Drives, Dynamics, Friction
 from approxjac.simulation import Computation

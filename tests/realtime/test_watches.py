@@ -606,6 +606,39 @@ def test_a_slow_joint_that_slides_may_be_faster_by_a_decimetre_a_second(share, f
 
 
 @pytest.mark.parametrize("arm", ARMS)
+def test_what_falls_at_the_start_may_be_faster_if_it_is_braked(arm):
+    """As under a load that is not known yet: within 0.1 s, up to 0.75 of the largest speed."""
+    robot, q, dt = ARMS[arm]
+    j, here = 0, np.arange(robot.nv) == 0
+    normal, most = max(0.15 * robot.velocity_limits[j], 0.4), 0.75 * robot.velocity_limits[j]
+
+    def stopped(speed, until=0.09):
+        watch, q_now = FaultWatch(robot, dt, ACCURATE, robot.velocity_limits, 0.02, False), q
+        watch._v_jump = watch._q_jump = np.full(robot.nv, np.inf)
+        for k in range(int(until / dt)):
+            v = -speed(k * dt) * here
+            q_now = pin.integrate(
+                robot.model, q_now, 0.5 * dt * (v - speed(max(k - 1, 0) * dt) * here)
+            )
+            assert watch.look(aj.Measurement(k * dt, q_now, v, v[:3]), 10.0 + k * dt) is None
+            if watch.commanded(np.zeros(robot.nv), 0.0 * v) is Fault.TOO_FAST:
+                return k * dt, abs(v[j])
+        return None
+
+    def falls(to):
+        return lambda t: to * (1.0 - math.exp(-t / max(0.02, 6.0 * dt)))
+
+    if most > 1.1 * normal:
+        assert stopped(falls(0.99 * most)) is None
+        assert stopped(falls(most), 0.15)[0] >= 0.1 - dt  # later, nothing falls
+    _, speed = stopped(falls(1.3 * max(most, normal)))
+    assert speed > 0.98 * max(most, normal)
+    # what grows faster and faster is no fall that a law brakes
+    _, speed = stopped(lambda t: 0.1 * normal * (math.exp(t / 0.02) - 1.0))
+    assert speed < 1.5 * normal
+
+
+@pytest.mark.parametrize("arm", ARMS)
 def test_what_a_joint_was_led_to_fades(arm):
     """By e in 0.5 s: a joint that stays fast is too fast then, at any period."""
     robot, q, dt = ARMS[arm]

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from functools import partial
+from itertools import chain, zip_longest
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from approxjac.calibration.formats import POSITION, QUATERNION, columns_of
-from approxjac.errors import InvalidInputError
+from approxjac.errors import InvalidInputError, MissingPackageError, package_of
+from approxjac.files import read_arrays, reason
 from approxjac.formatting import short_fields
 from approxjac.robots import Robot
 from approxjac.validation import Array, as_array, require
 
 _NAMED = ("socket", "place")
+_POSITION, _QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+_TIPS = {"PointStamped": "point", "PoseStamped": "pose"}
+_STATE = "observation.state"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,7 +117,7 @@ class Recording:
             MissingPackageError: The extra "ros2" or "lerobot" is not installed.
         """
         path = Path(require("path", path, (str, Path), "a file to read"))
-        if (numbers := columns_of(path)) is not None:
+        if (numbers := _columns_of(path)) is not None:
             return cls._of(numbers, path, place, socket)
         try:
             with path.open(newline="", encoding="utf-8-sig") as file:
@@ -136,7 +142,7 @@ class Recording:
                 message = f"{where} must hold a number, got {each[bad[0]]!r}"
                 raise InvalidInputError(message, given=str(path))
             if not bad:
-                known = name.lower() in (*POSITION, *QUATERNION)
+                known = name.lower() in (*_POSITION, *_QUATERNION)
                 numbers[name.lower() if known else name] = np.array(each, dtype=float)
         if not head:
             if not all(map(_is_number, chain.from_iterable(rows))):
@@ -154,7 +160,7 @@ class Recording:
         x, quaternion = (
             np.stack([columns.pop(name) for name in parts], axis=1)
             if all(name in columns for name in parts) else None
-            for parts in (POSITION, QUATERNION)
+            for parts in (_POSITION, _QUATERNION)
         )  # fmt: skip
         tau = {name: columns.pop(name) for name in [*columns] if name.endswith(".tau")}
         joints = None if q is not None else tuple(columns)
@@ -197,3 +203,99 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _mcap(path: Path) -> dict[str, Any]:
+    """Return a row for each point or pose, or else each JointState; joints are interpolated."""
+    make_reader = package_of("ros2", "mcap.reader").make_reader
+    from_json = partial(json.loads, object_hook=lambda fields: SimpleNamespace(**fields))
+    own = SimpleNamespace(decoder_for=lambda coded, _: from_json if coded == "json" else None)
+    decoders = [package_of("ros2", "mcap_ros2.decoder").DecoderFactory(), own]
+    joints, tips = dict[str, list[Any]](), dict[str, list[Any]]()
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=decoders)
+        for schema, channel, _, message in reader.iter_decoded_messages():
+            kind = schema.name.rpartition("/")[2] if schema else ""
+            if kind not in ("JointState", *_TIPS):
+                continue
+            t = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            if kind == "JointState":
+                values = zip_longest(message.position, message.effort, fillvalue=np.nan)
+                for name, each in zip(message.name, values, strict=True):
+                    joints.setdefault(name, []).append((t, *each))
+                continue
+            tip = getattr(message, _TIPS[kind])
+            row = [t, *(getattr(getattr(tip, "position", tip), axis) for axis in _POSITION)]
+            if kind == "PoseStamped":
+                row += [getattr(tip.orientation, name[1]) for name in _QUATERNION]
+            tips.setdefault(channel.topic, []).append(row)
+    if not joints or len(tips) > 1:
+        topics = ", ".join(tips) or "none"
+        raise ValueError(f"it has JointState of {len(joints)} joints, and points or poses {topics}")
+    series = [np.array(rows).T for rows in joints.values()]
+    seen = np.array(*tips.values()).T if tips else max(series, key=np.size)[:1]
+    first, last = max(each[0, 0] for each in series), min(each[0, -1] for each in series)
+    seen = seen[:, (seen[0] >= first) & (seen[0] <= last)]
+    columns = dict(zip(("t", *_POSITION, *_QUATERNION), seen, strict=False))
+    for name, (t, q, tau) in zip(joints, series, strict=True):
+        columns[name] = np.interp(seen[0], t, q)
+        columns[f"{name}.tau"] = np.interp(seen[0], t, tau)
+    return columns
+
+
+def _parquet(path: Path) -> dict[str, Any]:
+    """Return columns of numbers and texts, and those of the states that meta/info.json names."""
+    table = package_of("lerobot", "pyarrow.parquet").read_table(path)
+    flat = [n for n in table.column_names if n == _STATE or not table.field(n).type.num_fields]
+    each = {name: np.array(table[name].to_pylist()) for name in flat}
+    columns = {
+        name: values for name, values in each.items()
+        if name in ("place", "socket") or (values.ndim == 1 and values.dtype.kind in "biuf")
+    }  # fmt: skip
+    if _STATE in each:
+        infos = (folder / "meta" / "info.json" for folder in path.resolve().parents)
+        info = next((file for file in infos if file.is_file()), None)
+        if info is None:
+            raise ValueError(f"there is no meta/info.json with the names of {_STATE}")
+        names = json.loads(info.read_text("utf-8"))["features"][_STATE]["names"]
+        names = names if isinstance(names, list) else next(iter(names.values()))
+        names = [name.removesuffix(".pos") for name in names]
+        columns |= dict(zip(names, each[_STATE].T, strict=True))
+    if "timestamp" in columns:
+        columns["t"] = columns["timestamp"]
+    return columns
+
+
+def _run(path: Path) -> dict[str, Any]:
+    """Return a row for each new x that `Trajectory.save` kept of a position or pose."""
+    with path.open("rb") as file:
+        kept = read_arrays(file)
+    texts, x = json.loads(str(kept["texts"])), kept["x_measured"]
+    if tuple(texts["task_labels"][:3]) != _POSITION:
+        raise ValueError(f"its task is {', '.join(texts['task_labels'])}")
+    new = np.isfinite(x).all(axis=1) & np.append(True, np.diff(x, axis=0).any(axis=1))
+    torques = (f"{name}.tau" for name in texts["joint_names"])
+    names = "t", *torques, *_POSITION, *_QUATERNION
+    columns = [kept["t"][new], *kept["tau"][new].T, *x[new].T]
+    return {"": kept["q"][new], **dict(zip(names, columns, strict=False))}
+
+
+_READERS = {".mcap": _mcap, ".parquet": _parquet, ".npz": _run}
+
+
+def _columns_of(path: Path) -> dict[str, Any] | None:
+    """Return columns of a file by its ending, "" of all joints (N, nq); None of another kind.
+
+    Raises:
+        InvalidInputError: A file that cannot be read, or lacks what is needed.
+        MissingPackageError: The extra "ros2" or "lerobot" is not installed.
+    """
+    if (read := _READERS.get(path.suffix.lower())) is None:
+        return None
+    try:
+        return read(path)
+    except MissingPackageError:
+        raise
+    except Exception as error:  # each library raises its own
+        message = f"recording {path} cannot be read: {reason(error)}"
+        raise InvalidInputError(message, given=str(path)) from error

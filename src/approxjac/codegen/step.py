@@ -167,17 +167,18 @@ class _MachineCode:
         buffer = np.zeros((1, program.n_rows, 1))
         flat = buffer[0, :, 0]
         cells: Any = flat.data  # where numbers are stored faster
-        inf = math.inf
+        inf, nan = math.inf, math.nan
         run = LlvmLanes(program, width=1).bound(buffer, np.zeros((1, 1, 1)))
         place = {name: slice(at, at + size) for name, (at, size) in program.rows.items()}
         takes_rates = "target_v" in place
         asked = program.graph.asked([*chain(*program.stepped.values())])
         none, first = slice(0, 0), place["state"].start
-        q_in, v_in, x_in, target_in, state_in, v_d_in, a_d_in = (
-            flat[place.get(name, none)]
+        q_at, v_at, x_at, target_at, state_at, v_d_at, a_d_at = (
+            place.get(name, none)
             for name in ("q", "v", "x", "target", "state", "target_v", "target_a")
         )
-        rates_in = flat[place["target_v"].start : first] if takes_rates else v_d_in
+        rates_at = slice(v_d_at.start, first) if takes_rates else none
+        at_rest = np.zeros(rates_at.stop - rates_at.start)
         dt_at, t_at, t_x_at = (place[name].start for name in ("dt", "t", "t_x"))
         asks_t, asks_t_x = "t" in asked, "t_x" in asked
         answered = flat[first:]
@@ -187,27 +188,26 @@ class _MachineCode:
             for name in ("torque", "state", "rate", "e", "gravity", "J_hat", "reference")
         )
         has_rate, has_gravity, has_J = (name in place for name in ("rate", "gravity", "J_hat"))
-        has_state = state_in.size > 0
+        has_state = state_at.stop > first
         verdict_at = slice(out["status"].start, out["usual"].stop)
         learnt_at = slice(law.resting, law.resting + getattr(law.kinematics, "n_state", 0))
-        J_shape, m, shapes = (task.m, task.robot.nv), (task.measured.m,), (
-            q_in.shape, v_in.shape, x_in.shape, target_in.shape, state_in.shape
-        )  # fmt: skip
+        J_shape, m = (task.m, task.robot.nv), (task.measured.m,)
+        shapes = tuple(flat[at].shape for at in (q_at, v_at, x_at, target_at, state_at))
         limit_statuses = {float(each): each for each in LimitStatus}
         limited = float(LimitStatus.LIMITED)
         statuses = {float(each): each for each in Status}
         float64, array, made = FLOAT64, np.ndarray, tuple.__new__
         own_dt, any_dt = controller.dt, controller.dt is None
-        size, came = controller.size, state_in  # came from the last step, whose numbers are known
+        size, came = controller.size, at_rest  # came from the last step, whose numbers are known
 
-        def put(rate: Array | None, where: Array) -> bool:
+        def put(rate: Array | None, where: slice) -> bool:
             """Copy ẋ_d or ẍ_d to its place; return True if it is a valid vector, or None."""
             if rate is None:
-                where[:] = 0.0
+                flat[where] = 0.0
                 return True
             if type(rate) is not array or rate.shape != m or rate.dtype is not float64:
                 return False
-            where[:] = rate
+            flat[where] = rate
             return True
 
         def answer(state: Array, measurement: Measurement, target: Target | Array) -> Any:
@@ -226,8 +226,8 @@ class _MachineCode:
                 ):
                     return None
                 if v_d is None and a_d is None:
-                    rates_in[:] = 0.0
-                elif not (takes_rates and put(v_d, v_d_in) and put(a_d, a_d_in)):
+                    cells[rates_at] = at_rest
+                elif not (takes_rates and put(v_d, v_d_at) and put(a_d, a_d_at)):
                     return None
                 if state is not came and not np.abs(state[:size]).max(initial=0.0) < HUGE:
                     return None  # as Python judges it
@@ -240,10 +240,14 @@ class _MachineCode:
                         t_x = time_of_x(t_x)
                         if t_x is None and not knows_nan:
                             return None
-                    flat[t_x_at] = t_x
-                q_in[:], v_in[:], x_in[:], target_in[:] = q, v, x, x_d
-                if has_state:
-                    state_in[:] = state
+                    cells[t_x_at] = nan if t_x is None else t_x
+                try:
+                    cells[q_at], cells[v_at], cells[x_at], cells[target_at] = q, v, x, x_d
+                    if has_state:
+                        cells[state_at] = state
+                except ValueError:  # one is not aligned
+                    flat[q_at], flat[v_at], flat[x_at], flat[target_at] = q, v, x, x_d
+                    flat[state_at] = state
                 run()
                 outputs = answered.copy()
                 status, limit, slack, usual = outputs[verdict_at].tolist()

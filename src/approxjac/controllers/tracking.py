@@ -17,7 +17,7 @@ from approxjac.controllers import arguments
 from approxjac.controllers.adaptive_dynamics import AdaptiveDynamics, MotionDynamics
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Latency
-from approxjac.controllers.gains.joint_gains import (
+from approxjac.controllers.gains.motors import (
     JointGains,
     RaisedGains,
     UsedGains,

@@ -33,6 +33,7 @@ _REMEMBERED = 200  # readings of both clocks
 _FASTER = 0.15  # of its largest speed, by which a joint may exceed the commanded one
 _SLOW = {"rad": 0.4, "m": 0.1}  # per s; or by this, where its largest speed is low
 _FADES = 0.5  # s, in which that fades: joints that share a motion swing on
+_FALLS, _FALL = 0.1, 0.75  # s from the start, and share of the largest speed, by an unknown load
 _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many seconds
 
 
@@ -84,6 +85,8 @@ class FaultWatch:
         self._command, self._held_by, self._led, self._recent = np.zeros((4, n))
         self._fades = math.exp(-dt / _FADES)
         self._faster = np.maximum(_FASTER * fastest, [_SLOW[unit] for unit in self._units])
+        self._falls: list[Array] = []  # speeds of the first moments, until a time
+        self._lands = 0.0
         self._peaks = [0.0] * (_STEPS + 1)  # of speed beyond that, relative to the fastest
         self._peak_until = 0.0
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
@@ -101,7 +104,7 @@ class FaultWatch:
         self._ahead.append(t - now)
         missed, self._unknown = self._unknown, 0
         if last is None:
-            self._peak_until = t + _TIME
+            self._peak_until, self._lands = t + _TIME, t + _FALLS
             return None
         elapsed = t - last.t
         if not 0.0 <= elapsed <= self._late + missed * self._dt:
@@ -128,7 +131,14 @@ class FaultWatch:
         if reference is None or self._unknown or self._last is None:
             return None
         self._recent = np.maximum(self._fades * self._recent, self._led + led)
-        return self._too_fast(self._last.v, self._recent + self._faster)
+        v, most = self._last.v, self._recent + self._faster
+        if self._last.t < self._lands:  # let go with a load that is not known, it falls at first
+            self._falls.append(np.abs(v))
+            first, n = self._falls[0], len(self._falls) - 1
+            halfway = self._falls[n // 2] - first
+            is_braked = n // 2 * (self._falls[n] - first) < n * halfway
+            most = np.where(is_braked, np.maximum(most, _FALL * self._fastest), most)
+        return self._too_fast(v, most)
 
     def _too_fast(self, v: Array, most: Array) -> Fault | None:
         share = np.abs(v) / most

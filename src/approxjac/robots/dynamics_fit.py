@@ -1,6 +1,6 @@
 """`fit_dynamics`: what an arm's joints and its payload take, from a recorded motion."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,73 +101,59 @@ def fit_dynamics(
                 given=name,
             )
     every = slice(window, rows - window, max(1, rows // _ROWS))
-    return _Fit(robot, q[every], v[every], a[every], torques[every]).result()
+    return _fitted(robot, q[every], v[every], a[every], torques[every])
 
 
-class _Fit:
-    """Normal equations of each joint in blocks, weighted by what is not explained of it."""
+def _fitted(robot: Robot, q: Array, v: Array, a: Array, tau: Array) -> FittedDynamics:
+    """Fit by normal equations in blocks, weighted by what is not explained of each joint.
 
-    def __init__(self, robot: Robot, q: Array, v: Array, a: Array, tau: Array) -> None:
-        regressor = DynamicsRegressor(robot)
-        self.n, self.links, self.last = robot.nv, regressor.links, regressor.last_link.start
-        motions = zip(q, v, v, a, strict=True)
-        Y = np.array([regressor.Y_d(*each)[:, : self.links] for each in motions])
-        self.prior = np.concatenate([regressor.a[: self.links], np.zeros(5 * self.n)])
-        reach = robot.reach_bound(robot.tip)[1] if robot.tip is not None else np.inf
-        length = _LENGTH * (reach if np.isfinite(reach) else 1.0)
-        link = robot.mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
-        sd = np.tile(_LINK * link, self.links // 10)
-        sd[regressor.last_link] = _LAST * link
-        most = np.abs(tau).max(axis=0)
-        self.sd = np.concatenate([sd, 0.01 * most, most, most, np.ones(self.n), most])
-        self.Y, self.v, self.a, self.tau = Y, v, a, tau
-        self.moves = np.abs(v) > _SLOW
-        self.block = np.arange(len(v)) * _BLOCKS // len(v)
+    Twice, as the load of links that are fitted differs from that of the URDF.
+    """
+    from scipy.optimize import lsq_linear
 
-    def columns(self, load: Array) -> Array:
-        """Return the columns of rotors, viscous, Coulomb and load-dependent friction, constants."""
-        sign = np.tanh(self.v / 0.02)
-        each = self.a, self.v, sign, sign * load, np.ones_like(load)
-        blocks = [np.einsum("ki,ij->kij", of, np.eye(self.n)) for of in each]
-        return np.concatenate([self.Y, *blocks], axis=2)
+    regressor, n = DynamicsRegressor(robot), robot.nv
+    count, last = regressor.links, regressor.last_link
+    Y = np.array([regressor.Y_d(*each)[:, :count] for each in zip(q, v, v, a, strict=True)])
+    links = regressor.a[:count]
+    prior = np.concatenate([links, np.zeros(5 * n)])
+    reach = robot.reach_bound(robot.tip)[1] if robot.tip is not None else np.inf
+    length = _LENGTH * (reach if np.isfinite(reach) else 1.0)
+    link = robot.mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
+    of_links, most = np.tile(_LINK * link, count // 10), np.abs(tau).max(axis=0)
+    of_links[last] = _LAST * link
+    sd = np.concatenate([of_links, 0.01 * most, most, most, np.ones(n), most])
+    low = np.full(len(sd), -np.inf)
+    low[count : count + 4 * n] = 0.0  # rotors and friction
+    moves, block = np.abs(v) > _SLOW, np.arange(len(v)) * _BLOCKS // len(v)
 
-    def result(self) -> FittedDynamics:
-        """Fit twice, as the load of links that are fitted differs from that of the URDF."""
-        links, noise = self.prior[: self.links], 0.02 * np.abs(self.tau).max(axis=0) + 1e-3
-        for _ in range(2):
-            A = self.columns(np.abs(self.Y @ links))
-            left = self.tau - A @ self.prior
-            parts = list(self._normal(A, left, noise))
-            H, b = (sum(each) for each in zip(*parts, strict=True))
-            solution = self._solved(H, b)
-            rest = np.where(self.moves, left - A @ (solution - self.prior), 0.0)
-            noise = np.maximum(np.sqrt((rest**2).sum(axis=0) / self.moves.sum(axis=0)), 1e-6)
-            links = solution[: self.links]
-        # of what was left out once, and of what the motion does not tell from the URDF
-        others = np.array([self._solved(H - each, b - of) for each, of in parts])
-        jackknife = (_BLOCKS - 1) / _BLOCKS * ((others - others.mean(axis=0)) ** 2).sum(axis=0)
-        inner = np.linalg.inv(H + np.diag(self.sd**-2.0)).diagonal()
-        deviation = np.sqrt(jackknife + inner)
-        n, joints = self.n, solution[self.links :].reshape(5, self.n)
-        friction = Friction(viscous=joints[1], coulomb=joints[2], load=joints[3]).of(n)
-        sd = deviation[self.links :].reshape(5, n)[1:4]
-        payload = float(solution[self.last] - self.prior[self.last])
-        return FittedDynamics(friction, sd, payload, float(deviation[self.last]), noise)
-
-    def _normal(self, A: Array, left: Array, noise: Array) -> Iterator[tuple[Array, Array]]:
-        for block in range(_BLOCKS):
-            rows = (self.block == block)[:, None] & self.moves
-            weighted = (A / noise[:, None])[rows]
-            yield weighted.T @ weighted, weighted.T @ (left / noise)[rows]
-
-    def _solved(self, H: Array, b: Array) -> Array:
-        """Return the parameters, rotors and friction of which are not negative."""
-        from scipy.optimize import lsq_linear
-
-        scale = self.sd
-        root = np.linalg.cholesky(scale[:, None] * H * scale + np.eye(len(b))).T
-        right = np.linalg.solve(root.T, scale * b)
-        low = np.full(len(b), -np.inf)
-        low[self.links : self.links + 4 * self.n] = 0.0
+    def solved(H: Array, b: Array) -> Array:
+        root = np.linalg.cholesky(sd[:, None] * H * sd + np.eye(len(b))).T
+        right = np.linalg.solve(root.T, sd * b)
         solution = lsq_linear(root, right, bounds=(low, np.inf), method="bvls").x
-        return np.asarray(self.prior + scale * solution)
+        return np.asarray(prior + sd * solution)
+
+    noise, sign = 0.02 * most + 1e-3, np.tanh(v / 0.02)
+    for _ in range(2):
+        load = np.abs(Y @ links)
+        # of rotors, viscous, Coulomb and load-dependent friction, constants
+        each = a, v, sign, sign * load, np.ones_like(load)
+        A = np.concatenate([Y, *(np.einsum("ki,ij->kij", of, np.eye(n)) for of in each)], axis=2)
+        left, parts = tau - A @ prior, []
+        for k in range(_BLOCKS):
+            rows = (block == k)[:, None] & moves
+            weighted = (A / noise[:, None])[rows]
+            parts.append((weighted.T @ weighted, weighted.T @ (left / noise)[rows]))
+        H, b = (sum(each) for each in zip(*parts, strict=True))
+        solution = solved(H, b)
+        rest = np.where(moves, left - A @ (solution - prior), 0.0)
+        noise = np.maximum(np.sqrt((rest**2).sum(axis=0) / moves.sum(axis=0)), 1e-6)
+        links = solution[:count]
+    # of what was left out once, and of what the motion does not tell from the URDF
+    others = np.array([solved(H - each, b - of) for each, of in parts])
+    jackknife = (_BLOCKS - 1) / _BLOCKS * ((others - others.mean(axis=0)) ** 2).sum(axis=0)
+    inner = np.linalg.inv(H + np.diag(sd**-2.0)).diagonal()
+    deviation = np.sqrt(jackknife + inner)
+    (_, viscous, coulomb, load, _), sds = (of[count:].reshape(5, n) for of in (solution, deviation))
+    friction = Friction(viscous=viscous, coulomb=coulomb, load=load).of(n)
+    payload = float(solution[last.start] - prior[last.start])
+    return FittedDynamics(friction, sds[1:4], payload, float(deviation[last.start]), noise)

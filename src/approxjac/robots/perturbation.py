@@ -124,8 +124,8 @@ class _Parts:
             self._onto_axis = rotation_onto(n)
             self._object, self._tip = at["object_joint"], at["object_tip_joint"]
         # what moves on its link: joints with an error, the object's tip, and all that a fixed one
-        # of them carries, each with where it is: on the link, or on a frame that moves
-        self._places: list[tuple[int, int | None, int | None, pin.SE3, Array, int | None]] = []
+        # of them carries, each with where it is on the frame that carries it
+        self._places: list[tuple[int, int | None, int, pin.SE3, int | None]] = []
         carried: list[int] = []
         for k, frame in enumerate(frames):  # frames come after those that carry them
             on = frame.parentFrame
@@ -133,14 +133,8 @@ class _Parts:
                 continue
             moves = frame.type == pin.FrameType.JOINT
             place = model.jointPlacements[frame.parentJoint] if moves else frame.placement
-            origin = frames[on].placement.inverse() * place
-            back = origin.rotation.T.copy()  # from the frame that carries it, as shifts are in
-            carrier = on if on in carried or k == self._tip else None
-            joint = frame.parentJoint if moves else None
-            place = pin.SE3(place) if carrier is None else origin
-            if frame.type == pin.FrameType.BODY:  # a link is where its joint is
-                place = None
-            self._places.append((k, joint, carrier, place, back, errors.get(k)))
+            origin, joint = frames[on].placement.inverse() * place, frame.parentJoint
+            self._places.append((k, joint if moves else None, on, origin, errors.get(k)))
             if not moves:
                 carried.append(k)
         # inertias of what may move within a link; the rest of the link as dynamic parameters
@@ -165,14 +159,13 @@ class _Parts:
             cylinder = pin.Inertia.FromCylinder(mass, OBJECT_RADIUS, length)
             inertias[self._object] = pin.SE3(self._onto_axis, 0.5 * tip).act(cylinder)
             frames[self._object].inertia = inertias[self._object]
-        for k, joint, carrier, place, back, error in self._places:
+        for k, joint, on, origin, error in self._places:
             if k == self._tip:
-                place = pin.SE3(_NO_TURN, tip)
-            if error is not None:
-                place = place * pin.SE3(pin.exp3(rotations[error]), back.dot(shifts[error]))
-            if carrier is not None:
-                place = at[carrier] if place is None else at[carrier] * place
-            at[k] = place
+                origin = pin.SE3(_NO_TURN, tip)
+            if error is not None:  # a shift is in the axes of what carries the joint
+                shift = origin.rotation.T.dot(shifts[error])
+                origin = origin * pin.SE3(pin.exp3(rotations[error]), shift)
+            at[k] = place = at[on] * origin
             if joint is None:
                 frames[k].placement = place
             else:

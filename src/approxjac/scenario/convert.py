@@ -18,17 +18,12 @@ from approxjac.validation import as_number
 
 Table = Mapping[str, Any]
 _UNIONS = (Union, types.UnionType)
+hints = cache(get_type_hints)  # of a record's fields, by name
 _WRONG_TYPE = (TypeError, ValueError, OverflowError)  # a number of 400 digits is no float
 
 
 class Words(tuple[str, ...]):
     """A value as it was typed: one word, or several of a list."""
-
-
-@cache
-def hints(kind: type) -> Mapping[str, Any]:
-    """Return the types of a record's fields by name."""
-    return get_type_hints(kind)
 
 
 def filled(record: Any, values: Table, where: str = "", key: str = "") -> Any:

@@ -37,6 +37,7 @@ _SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
 _TELLS = 60.0  # χ² that a cause explains at least
 _USED, _STUCK = 0.05, 0.1  # of the largest torque, which a motor has to lack; more if it stood
+_SIX_SD = 36.0  # χ² of one number
 _LIKE = 30.0  # looks that tell the same
 _SOON, _ALONE = 0.0075, 0.02  # s, after which a motor is named that explains all, or nearly
 _SLOWLY, _LOAD = 0.06, 0.7  # s, after which another cause is, or a load
@@ -436,6 +437,11 @@ class Monitor:
         if since <= _ONSET:
             self._is_outside |= whole * (left - other) > _BETTER
         alone = whole * (1.0 - left) > _TELLS and left < min(_CLEAR, 0.3 * other)
+        # a share that is surely not 0, leaves what noise does, and is likelier than a force or load
+        alone |= (
+            whole * (1.0 - left) > _SIX_SD and share > _DEAD
+            and whole * left < off.size and whole * (other - left) > _SURE
+        )  # fmt: skip
         # without what noise leaves
         above = max(whole - off.size, 1e-12)
         left, beside = (max(each * whole - off.size, 0.0) / above for each in (left, other))

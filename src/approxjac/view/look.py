@@ -116,7 +116,10 @@ def _in_place(robot: Robot, wanted: set[str], seen: set[str]) -> dict[str, tuple
     for joint in joints:
         link, end = joint.parent, joint.origin[:3, 3]
         if link not in seen and joint.child in carriers and np.linalg.norm(end) > _NEAR * radius:
-            shapes[link] = (*shapes.get(link, ()), _capsule(end, radius))
+            mesh = creation.capsule(float(np.linalg.norm(end)), radius, count=[12, 20])
+            mesh.apply_translation(-mesh.bounds.mean(axis=0))  # its place differs between versions
+            mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end))
+            shapes[link] = (*shapes.get(link, ()), mesh.apply_translation(0.5 * end))
     balls = wanted - seen - set(shapes)
     return shapes | {link: (creation.icosphere(2, radius),) for link in sorted(balls)}
 
@@ -139,13 +142,6 @@ def load_mesh(path: Path) -> Trimesh:
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("holds coordinates that are not finite")
     return mesh
-
-
-def _capsule(end: Any, radius: float) -> Trimesh:
-    mesh = creation.capsule(float(np.linalg.norm(end)), radius, count=[12, 20])
-    mesh.apply_translation(-mesh.bounds.mean(axis=0))  # its place differs between versions
-    mesh.apply_transform(trimesh.geometry.align_vectors([0.0, 0.0, 1.0], end))
-    return mesh.apply_translation(0.5 * end)
 
 
 def simplify(mesh: Trimesh, count: int) -> Trimesh:

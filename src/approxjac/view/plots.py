@@ -130,7 +130,6 @@ def plot_slack(run: Trajectory, ax: Axes | None = None) -> Axes:
 def plot_path(
     run: Trajectory,
     robot: Robot,
-    frame: str | None = None,
     plane: str = "xz",
     ax: Axes | None = None,
     *,
@@ -138,17 +137,16 @@ def plot_path(
     target: Sequence[float] | Array | None = None,
     title: str | None = None,
 ) -> Axes:
-    """Draw the path of a frame in a plane of the world, with the arm at start and end.
+    """Draw the path of the tip in a plane of the world, with the arm at start and end.
 
     Args:
         run: The run.
         robot: Robot whose kinematics to draw: the true one.
-        frame: Frame to follow; the robot's `tip` by default.
         plane: Two world axes, such as "xz".
         ax: Axes to draw into; new ones by default.
-        believed: Believed robot, whose path of the frame is drawn if given: by the kinematics
+        believed: Believed robot, whose path of its tip is drawn if given: by the kinematics
             learnt at each instant, if they are learnt.
-        target: Target of the frame in the world, shape (3,) [m], drawn as a cross if given.
+        target: Target of the tip in the world, shape (3,) [m], drawn as a cross if given.
         title: Title of the axes; by default frame and plane.
 
     Raises:
@@ -156,9 +154,8 @@ def plot_path(
     """
     _require_run(run)
     rows = plane_rows(plane)
-    seen = None if believed is None else _tips(run, believed, believed.tip_or(frame))[:, rows]
-    frame = robot.tip_or(frame)
-    tips = _tips(run, robot, frame)[:, rows]
+    seen = None if believed is None else _tips(run, believed)[:, rows]
+    frame, tips = robot.tip_or(None), _tips(run, robot)[:, rows]
     if target is not None:
         target = as_vector("target", target, 3)[rows]
     with styled(ax) as ax:
@@ -191,8 +188,8 @@ def plot_run(run: Trajectory) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _tips(run: Trajectory, robot: Robot, frame: str) -> Array:
-    kinematics = FrameKinematics(robot, frame)
+def _tips(run: Trajectory, robot: Robot) -> Array:
+    kinematics = FrameKinematics(robot, robot.tip_or(None))
     return np.array([kinematics.position(q) for q in run.q])
 
 

@@ -1,6 +1,7 @@
 """Programs as vectors of LLVM: one run per lane of the machine's vectors."""
 
 import ctypes
+import re
 import struct
 from collections.abc import Callable
 from itertools import chain, count
@@ -33,6 +34,13 @@ _TEMPLATES = {
     "not": "xor $B {0}, $TRUE",
     "select": "select $B {0}, $D {1}, $D {2}",
 }
+_OF_ONE = (  # vectors of one number, as numbers, of which LLVM makes vectors of its own
+    (r"insertelement <1 x double> undef, (double \S+), i64 0", r"bitcast \1 to double"),
+    (r"shufflevector <1 x double> (\S+), .*", r"bitcast double \1 to double"),
+    (r"<(?:double|i1|i64) (\S+)>", r"\1"),
+    (r"<1 x (double|i1|i64)>", r"\1"),
+    (r"\bv1f64\b", "f64"),
+)
 _WIDE = "+avx512f"
 _PART = 2000  # operations between branches, as LLVM takes long to find registers in long blocks
 
@@ -315,4 +323,6 @@ def _filled(text: str, width: int) -> str:
     }
     for word, meant in words.items():
         text = text.replace(word, meant)
+    for vector, number in _OF_ONE if width == 1 else ():
+        text = re.sub(vector, number, text)
     return text

@@ -20,6 +20,7 @@ from approxjac.files import replaced
 
 _IN_MEMORY = 32  # programs
 _ON_DISK = 256 * 2**20  # bytes of all
+_SHORT = 600_000  # characters of a text, which is made faster in little time
 _SWITCH = "APPROXJAC_CACHE"
 _OFF = ("", "0", "off", "no", "false")
 
@@ -58,26 +59,32 @@ class MachineCode:
             machine = llvm.Target.from_default_triple().create_target_machine(
                 cpu=llvm.get_host_cpu_name(), features=features, opt=effort, jit=True
             )
-            code = cls._known[name] = cls(llvm, machine, _made(llvm, machine, name, text))
+            code = cls._known[name] = cls(llvm, machine, _made(llvm, machine, name, text, effort))
             while len(cls._known) > _IN_MEMORY:
                 cls._known.popitem(last=False)
         return code
 
 
-def _made(llvm: Any, machine: Any, name: str, text: str) -> bytes:
+def _made(llvm: Any, machine: Any, name: str, text: str, effort: int) -> bytes:
     """Return the code of a text, from the cache if it is there, else compiled."""
     folder = cache_folder()
     path = None if folder is None else folder / f"{name}.code"
     if path is not None and (code := _read(path)) is not None:
         return code
-    code = _compiled(llvm, machine, text)
+    code = _compiled(llvm, machine, text, effort)
     if path is not None:
         _write(path, code)
     return code
 
 
-def _compiled(llvm: Any, machine: Any, text: str) -> bytes:
-    return machine.emit_object(llvm.parse_assembly(text))
+def _compiled(llvm: Any, machine: Any, text: str, effort: int) -> bytes:
+    module = llvm.parse_assembly(text)
+    if effort and len(text) < _SHORT:  # like operations become one of vectors, with the same bits
+        options = llvm.create_pipeline_tuning_options(speed_level=1)
+        options.slp_vectorization, options.loop_vectorization = True, False
+        builder = llvm.create_pass_builder(machine, options)
+        builder.getModulePassManager().run(module, builder)
+    return machine.emit_object(module)
 
 
 def cache_folder() -> Path | None:

@@ -338,7 +338,7 @@ class PageServer:
     def send(self, message: str) -> None:
         """Send a message to all pages, without waiting for them."""
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._broadcast, message)
+            self._loop.call_soon_threadsafe(self._send, message)
 
     def received(self) -> list[tuple[str, Any]]:
         """Return name and value of the latest command of each kind since the last call."""
@@ -383,7 +383,7 @@ class PageServer:
 
         class Socket(self._websocket.WebSocketHandler):  # type: ignore[misc, name-defined]
             def open(self, *_: str) -> None:
-                outer._send(self, outer._greeting())
+                outer._send(outer._greeting(), self)
                 outer._pages.add(self)
                 outer.opened.set()
 
@@ -410,13 +410,10 @@ class PageServer:
             page.close()
         await server.close_all_connections()
 
-    def _broadcast(self, message: str) -> None:
-        for page in list(self._pages):
-            self._send(page, message)
-
-    def _send(self, page: Any, message: str) -> None:
-        with contextlib.suppress(self._websocket.WebSocketClosedError):  # it is gone
-            page.write_message(message).add_done_callback(lambda sent: sent.exception())
+    def _send(self, message: str, *pages: Any) -> None:
+        for page in pages or list(self._pages):
+            with contextlib.suppress(self._websocket.WebSocketClosedError):  # it is gone
+                page.write_message(message).add_done_callback(lambda sent: sent.exception())
 
 
 def _bound(port: int | None) -> socket.socket:
