@@ -62,6 +62,152 @@ MUTANTS = [
         "a turned tool is taken for a moved one", "controllers/learning/positions.py",
         "np.zeros((n_p, 3)), self._l * axes", "np.zeros((n_p, 3)), -self._l * axes", DRIFT,
     ),
+    # -- what strangers' faults survived in: the third audit
+    (
+        "the drift of the tip for that of a named frame", "controllers/limits/limit.py",
+        "terms.drift(self.frame)[", "terms.drift()[",
+        "tests/controllers/test_motion_limits.py",
+    ),
+    (
+        "joints that stand hide a held x", "controllers/hold.py",
+        "(answer.status == _OK) | (answer.status == Status.HOLDING)", "answer.status == _OK",
+        "tests/controllers/test_measurement_hold.py",
+    ),
+    (
+        "what a servo does by itself, times its lag", "controllers/guard.py",
+        "fastest / _SERVO", "fastest * _SERVO",
+        "tests/controllers/test_guard.py",
+    ),
+    (
+        "commanded velocities are taken for torques", "controllers/guard.py",
+        "if self._takes_torque: ", "if True: ",
+        "tests/controllers/test_guard.py",
+    ),
+    (
+        "starts as fast as what was not tested for staying", "stability/certificates/attraction.py",
+        "energy <= most and bool", "bool",
+        "tests/stability/test_sampled_test.py",
+    ),
+    (
+        "decay of the least V in place of V", "stability/certificates/matrix_form.py",
+        "weights.block(largest))", "weights.block(self.setting.saturation.c_bar))",
+        "tests/stability/test_sampled_test.py",
+    ),
+    (
+        "torques are as old as their error is large", "stability/certificates/matrix_form.py",
+        " hold.span * turning.stiffness", " hold.gain * turning.stiffness",
+        "tests/stability/test_sampled_test.py",
+    ),
+    (
+        "a limiter of another alpha protects V", "stability/certificates/limit_cost.py",
+        "np.allclose(known.A1, limiter.alpha * np.eye(len(kp)), rtol=1e-9)", "True",
+        "tests/stability/test_limit_cost.py",
+    ),
+    (
+        "an exchanged controller forgets what gravity the robot adds", "simulation/monitor.py",
+        "controller, None if self._adds is None else self._adds.robot", "controller",
+        "tests/simulation/test_monitor.py",
+    ),
+    (
+        "a swing has to be seen along all axes", "simulation/monitor.py",
+        "self._x_variance)).any()", "self._x_variance)).all()",
+        "tests/simulation/test_monitor.py",
+    ),
+    (
+        "frames are compared with those of an earlier clock", "simulation/drift.py",
+        "        if frame.t < self._taken:\n            self._windows.clear()\n", "",
+        "tests/simulation/test_drift.py",
+    ),
+    (
+        "gravity is compared at the target only", "stability/loop/linearization.py",
+        "q, *(pin.integrate(model, q, _NEAR * unit) for unit in np.eye(plant.robot.nv))", "q",
+        "tests/stability/test_local.py",
+    ),
+    (
+        "an arm may rest far from its target", "stability/loop/linearization.py",
+        "np.abs(z[:n]).max() <= _FARTHEST", "True",
+        "tests/stability/test_own_laws.py",
+    ),
+    (
+        "units of joints that turn and slide are swapped", "robots/dynamics.py",
+        "unit == \"m\") for unit", "unit == \"rad\") for unit",
+        "tests/robots/test_dynamics_regressor.py",
+    ),
+    (
+        "speeds are compared with the URDF's limits", "scenario/outcome.py",
+        "robot.velocity_limits if limits is None else limits.velocity", "robot.velocity_limits",
+        "tests/scenario/test_run.py",
+    ),
+    (
+        "friction is compensated although frames are late", "scenario/build.py",
+        "0.0 and sensor.rate is None", "0.0",
+        "tests/scenario/test_build.py",
+    ),
+    (
+        "a study forgets how believed joints are turned", "scenario/judge.py",
+        "believed.shifts, believed.rotations", "believed.shifts",
+        "tests/scenario/test_build.py",
+    ),
+    (
+        "the whole Jacobian without its weight", "controllers/pseudoinverse.py",
+        "self._weighted(whole)", "whole",
+        "tests/law/test_pseudoinverse.py",
+    ),
+    (
+        "how fast damping may rise is forgotten", "controllers/tracking.py",
+        "n = 2 * self.task.robot.nv", "n = self.task.robot.nv",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "slow feedback winds up before a first x", "controllers/tracking.py",
+        "law.select(waits, 0.0 * shifted, shifted)", "shifted",
+        "tests/controllers/test_motor_damping.py",
+    ),
+    (
+        "a servo is not led by the taught motion", "controllers/tracking.py",
+        "waits, besides=besides", "waits",
+        TEACHING,
+    ),
+    (
+        "joints that slide are slow in radians", "realtime/watches.py",
+        "_SLOW[unit] for", "_SLOW[\"rad\"] for",
+        WATCHES,
+    ),
+    (
+        "motors turn on behind a brake", "realtime/simulated_driver.py",
+        "self.motors = self.motors._replace(rate=self.v)", "pass",
+        DRIVERS,
+    ),
+    (
+        "a tool that is only turned turns its joint", "robots/kinematic_regressor.py",
+        " or turn is not None", "",
+        "tests/robots/test_kinematic_regressor.py",
+    ),
+    (
+        "what is known is forgotten for the next places", "calibration/next_configurations.py",
+        "P, u = calibration.covariance,", "u =",
+        "tests/calibration/test_calibrate.py",
+    ),
+    (
+        "all targets are looked at, however few are asked for", "stability/search/tolerance.py",
+        "test, draws or _CONFIGURATIONS", "test, _CONFIGURATIONS",
+        "tests/stability/test_own_laws.py",
+    ),
+    (
+        "gains are tried from slow to fast", "stability/search/suggested_gains.py",
+        "** 0.5, f[0]),", "** 0.5, -f[0]),",
+        "tests/stability/test_suggestion.py",
+    ),
+    (
+        "any option is blamed for an unknown name", "cli/options.py",
+        "error.given in words", "words",
+        "tests/cli/test_arguments.py",
+    ),
+    (
+        "memory of frames is as long whatever their delay", "controllers/learning/estimator.py",
+        "_HORIZON, 2.0 * delay", "_HORIZON, 0.0 * delay",
+        GATE,
+    ),
     # -- what strangers' faults survived in: the second audit
     (
         "the last step of runs in lanes is not recorded", "codegen/sensors.py",

@@ -241,20 +241,21 @@ def test_what_is_not_usual_is_believed_when_a_second_sample_shows_it(joint):
 class AtRest:
     """A robot that takes velocities, has a fine encoder, and stood for a tenth of a second."""
 
-    law = CONTROLLERS["velocity"].guarded(Guard(q=1e-6))
-
-    def __init__(self):
+    def __init__(self, dt):
+        law = aj.TrackingController(aj.PositionTask(BELIEF), command="velocity", dt=dt)
+        self.dt, self.law = dt, law.guarded(Guard(q=1e-6))
         self.k, self.q, self.v, self.statuses = 0, START, np.zeros(7), []
         self.state = self.law.initial_state(self.seen())
-        for _ in range(100):
+        for _ in range(round(0.1 / dt)):
             self.step(PLANT.sensor.value(START))
         self.statuses.clear()
 
     def seen(self):
-        return PLANT.measure(self.k * DT, self.q, self.v)._replace(t_x=self.k * DT)
+        t = self.k * self.dt
+        return PLANT.measure(t, self.q, self.v)._replace(t_x=t)
 
     def step(self, goal):
-        self.state, answer = self.law.step(self.state, self.seen(), goal, DT)
+        self.state, answer = self.law.step(self.state, self.seen(), goal, self.dt)
         self.statuses.append(answer.status)
         self.k += 1
         return answer.torque
@@ -262,22 +263,22 @@ class AtRest:
 
 def test_a_servo_may_follow_any_command_within_two_milliseconds():
     """Which no torque explains, from rest on."""
-    robot = AtRest()
-    for _ in range(40):
+    robot = AtRest(4e-3)
+    for _ in range(20):
         command = robot.step(GOAL)
-        robot.v = robot.v + (1.0 - np.exp(-DT / 2e-3)) * (command - robot.v)
-        robot.q = robot.q + DT * robot.v
+        robot.v = robot.v + (1.0 - np.exp(-robot.dt / 2e-3)) * (command - robot.v)
+        robot.q = robot.q + robot.dt * robot.v
     assert np.abs(robot.v).max() > 0.1
     assert set(robot.statuses) == {aj.Status.OK}
 
 
 @pytest.mark.parametrize("joint", [0, 3, 6])
 def test_what_a_servo_does_by_itself_is_believed_when_a_second_sample_shows_it(joint):
-    robot = AtRest()
+    robot = AtRest(1e-3)
     robot.v = 0.3 * np.eye(7)[joint]
     for _ in range(3):
-        robot.q = robot.q + DT * robot.v
-        robot.step(GOAL)
+        robot.q = robot.q + robot.dt * robot.v
+        robot.step(PLANT.sensor.value(START))
     assert robot.statuses[0] in BAD
     assert robot.statuses[1:] == [aj.Status.OK] * 2
 

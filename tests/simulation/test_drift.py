@@ -65,6 +65,17 @@ def followed(task, unknown, after, seconds, seed=0, restarts=True):
     return said, state, controller, moved
 
 
+def test_where_time_starts_anew_nothing_is_compared_with_what_was_before(panda):
+    task = aj.PositionTask(panda)
+    watch, q0 = DriftWatch(aj.SetpointController(task)), aj.Plant(panda).ready_configuration()
+    for begun, seconds in ((100.0, 4.0), (0.0, 0.1)):
+        for t in np.arange(0.0, seconds, 0.05):
+            q, v = q0 + 0.2 * np.sin(t), np.full(7, 0.2 * np.cos(t))
+            watch.look(Measurement(begun + t, q, v, task.value(q), begun + t), np.zeros(0))
+        assert all(window.begun <= begun + t for window in watch._windows)
+        assert bool(watch._windows) == (seconds > 2.0)
+
+
 @pytest.mark.parametrize("unknown", [*KINDS, None])
 def test_nothing_is_said_where_nothing_happens(panda, unknown):
     nothing = np.zeros((3, 3))

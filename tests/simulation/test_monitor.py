@@ -294,6 +294,24 @@ def test_an_oscillation_that_stops_has_an_end(controller):
     assert_allclose(event.end, 1.5, atol=0.5)
 
 
+def test_noise_along_one_axis_of_x_hides_no_swing_along_others(controller):
+    omega = 2.0 * np.pi * 4.0
+    noise = np.array([0.0, 0.0, 1.0])
+    assert swinging(controller, lambda t: 0.1 * np.cos(omega * t), duration=1.0, noise=noise)
+
+
+def test_an_exchanged_controller_leaves_what_gravity_the_robot_adds(panda, controller):
+    q, torque = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]), np.zeros(7)
+    first = Monitor(controller, panda)
+    monitors = first, first.with_controller(controller)
+    state = controller.initial_state(Measurement(0.0, q, np.zeros(7), np.zeros(3)))
+    for monitor in monitors:
+        for k in range(100):
+            monitor.look(Measurement(k * DT, q, np.zeros(7), np.zeros(3)), torque, None, state)
+    for monitor in monitors:  # nothing pulls beside it
+        assert np.abs(monitor._residual).max() < 1e-6
+
+
 @pytest.mark.parametrize("exchanged", [None, 25, 50])
 def test_gravity_that_the_robot_adds_is_no_push(panda, belief, controller, exchanged):
     way = (-0.3, -0.4, 0.2)

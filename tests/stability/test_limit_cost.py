@@ -10,6 +10,7 @@ import approxjac as aj
 from approxjac.formatting import plain
 from approxjac.stability.certificates.certificate import sampled_test
 from approxjac.stability.certificates.limit_cost import limit_cost
+from approxjac.stability.certificates.matrix_form import Weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.report.report import of_limits
 
@@ -148,6 +149,19 @@ def posed():
     loop = ClosedLoop(law, arm, aj.JointBox.around(arm, (0.0, -1.2, 1.4, -1.0, -1.5, 0.0), 0.5))
     samples = loop.draw(40, np.random.default_rng(0))
     return law, limiter, samples, limit_cost(loop, limiter, samples, None, None)
+
+
+def test_only_the_V_whose_output_the_limiter_has_is_protected(posed):
+    """y = q̇ + αĴ⁺s of the limiter's own α, and of no other matrix."""
+    law, limiter, samples, _ = posed
+    loop = ClosedLoop(law, law.task.robot, aj.JointBox.around(law.task.robot, samples.q[0], 0.1))
+    own, none = limiter.alpha * np.eye(6), np.zeros((6, 6))
+    for A1, A2, protects in (
+        (own, none, True), (1.01 * own, none, False), (own + 0.01, none, False),
+        (own, 0.01 * own, False),
+    ):  # fmt: skip
+        known = Weights(A1, A2, np.ones(6))
+        assert limit_cost(loop, limiter, samples, None, known).protects == protects
 
 
 def test_clipped_are_starts_at_which_the_law_asks_some_motor_for_too_much(posed):

@@ -423,6 +423,19 @@ def controllers_without_a_linearization(robot):
     }
 
 
+def test_gravity_that_is_right_at_the_target_alone_is_refused(two_link):
+    """An equilibrium has to be one nearby, too: else its slope is another."""
+    q, regressor = np.array([0.5, 1.0]), GravityRegressor(two_link)
+    free = np.linalg.svd(regressor.Z(q))[2][-1]  # of no torque there
+    assert np.abs(regressor.Z(q) @ free).max() < 1e-9
+    assert np.abs(regressor.Z(q + 0.1) @ free).max() > 1e-2
+    task = aj.PositionTask(two_link, axes="xz")
+    gravity = RegressorGravity(regressor, regressor.theta + free)
+    law = aj.SetpointController(task, aj.Gains(50.0, 20.0), gravity=gravity)
+    with pytest.raises(aj.InvalidInputError, match="gravity must be exact near the target"):
+        aj.local_stability(aj.Plant(two_link, task), law, q)
+
+
 def test_what_has_another_linearization_is_refused(two_link):
     plant = aj.Plant(two_link, aj.PositionTask(two_link, axes="xz"))
     for text, controller in controllers_without_a_linearization(two_link).items():

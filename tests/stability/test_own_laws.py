@@ -147,6 +147,21 @@ def test_law_5_and_postures_are_linearised_too(panda):
     assert found.stable
 
 
+def test_an_arm_that_rests_far_along_its_self_motion_does_not_rest_there(panda):
+    """Where a posture holds it at the same x, a radian away."""
+    q, task = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7]), aj.PositionTask(panda)
+    x, far, way = task.value(q), q, np.eye(7)[0]
+    while np.abs(far - q).max() < 1.0:
+        J = task.jacobian(far)
+        free = way - np.linalg.pinv(J) @ (J @ way)
+        far = far + 0.02 * free / np.linalg.norm(free)
+        far = far - np.linalg.pinv(J) @ (task.value(far) - x)
+    law = aj.SetpointController(task, aj.Gains(60.0, 30.0, 1.0), posture=Posture(far, 5.0))
+    assert aj.local_stability(aj.Plant(panda), law, far + 1e-3 * free).stable
+    with pytest.raises(aj.InvalidInputError, match="must hold the arm at rest at the target"):
+        aj.local_stability(aj.Plant(panda), law, q)
+
+
 def test_what_only_limits_a_law_is_not_felt_near_the_target(panda):
     q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7])
     law = aj.SetpointController(aj.PositionTask(panda))

@@ -1,6 +1,7 @@
 """The certificate of the loop as it runs: what it refuses, what it reaches, what it rests on."""
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,9 +10,25 @@ import pytest
 import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.law import Linear
-from approxjac.stability.certificates.attraction import attraction, slower, travels
-from approxjac.stability.certificates.certificate import RESERVE, largest, sampled_test
-from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, best_weights
+from approxjac.stability.certificates.attraction import (
+    _largest_ratio,
+    attraction,
+    slower,
+    travels,
+)
+from approxjac.stability.certificates.certificate import (
+    RESERVE,
+    largest,
+    largest_errors,
+    sampled_test,
+)
+from approxjac.stability.certificates.matrix_form import (
+    Hold,
+    MatrixForm,
+    SampledForm,
+    Turning,
+    best_weights,
+)
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q0 = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
@@ -93,6 +110,8 @@ def test_late_images_are_certified(arm, kp, kv, least):
     test = certificate(panda(arm, 5.0, kp, kv), LATE_IMAGES, n=120)
     assert test.certified
     assert test.margin > least
+    own = test.form.take(slice(len(test.margins))).margins(test.weights)  # of errors as they are
+    np.testing.assert_allclose(test.margins, own)
 
 
 # -- what it rests on -----------------------------------------------------------------------------
@@ -275,6 +294,61 @@ def test_a_motion_that_spends_its_V_on_one_joint_travels_just_as_far_as_is_told(
             way += dt * now[i]
         assert abs(V) < 1e-3
         np.testing.assert_allclose(way, told[k, i], rtol=1e-3)
+
+
+def test_starts_that_stay_are_as_slow_as_what_was_tested_for_staying(exact):
+    """Where that is slow, V at the starts is what allows it, and ends them before the box does."""
+    robot, law, box, test = exact
+    test = replace(test, form=test.form.with_speed(0.1 * test.form.speed))
+    rng = np.random.default_rng(0)
+    found = attraction(ClosedLoop(law, aj.Plant(robot, law.task), box), test, rng)
+    most = slower(test.form).level(found.weights)
+    starts, ends = found.radius * rng.choice([-1.0, 1.0], (2, 60, 2))
+    x, x_d = (np.array([law.task.value(box.center + q) for q in each]) for each in (starts, ends))
+    energy = found.weights.at_rest(x - x_d, law.saturation).max()
+    assert 0.9 * most < energy <= 1.01 * most
+
+
+@pytest.mark.parametrize("gamma", [None, 0.05])
+def test_decay_is_that_of_V_itself(gamma):
+    """F without and with a rate ρ differ by ρP, zᵀPz ≥ 2V for errors of motions below v̄."""
+    robot = aj.load_robot("two_link")
+    saturation = None if gamma is None else aj.law.Tanh(gamma)
+    law = aj.SetpointController(
+        aj.PositionTask(robot, axes="xz"), aj.Gains(60.0, 20.0, 5.0), saturation=saturation
+    )
+    box = aj.JointBox.around(robot, (0.4, 1.2), 0.1)
+    loop = ClosedLoop(law, aj.Plant(robot, law.task), box)
+    form = MatrixForm(loop.draw(30, np.random.default_rng(0)), loop.setting)
+    weights = best_weights(form, "free").weights._replace(
+        multiplier=0.0
+    )  # of holds nothing is left
+    sampled = SampledForm(form, np.zeros(2), Hold.of(Latency(1e-3)), 1.0, 1.0)
+    ratio = _largest_ratio(sampled, weights)
+    assert (ratio > 0.6) == (gamma is not None)
+    slow = sampled.changed(decay=(0.7, ratio)).decrease(weights)
+    P = (sampled.decrease(weights) - slow)[:, :4, :4] / 0.7
+    at, G = form.samples, form.cross_weight(weights)
+    bounds = largest_errors(law.saturation, weights.w, 0.5)
+    for k, share in enumerate(np.random.default_rng(1).uniform(-1.0, 1.0, (len(at), 4))):
+        v, e = share[:2], share[2:] * bounds
+        s, S = law.saturation.s(e), law.saturation.S(e)
+        V = 0.5 * v @ at.M[k] @ v + v @ at.M[k] @ G[k] @ s + weights.w @ S
+        z = np.append(v, s)
+        assert z @ P[k] @ z >= 2.0 * V - 1e-9
+        if gamma is None:
+            assert z @ P[k] @ z == pytest.approx(2.0 * V)
+
+
+def test_old_torques_have_missed_what_turned_for_as_long_as_they_are_old():
+    """By ē s̄ for a period and the delay, where x comes in frames."""
+    robot = aj.load_robot("two_link")
+    law = aj.SetpointController(aj.PositionTask(robot, axes="xz"), aj.Gains(60.0, 20.0, 5.0))
+    loop = ClosedLoop(law, aj.Plant(robot, law.task), aj.JointBox.around(robot, (0.4, 1.2), 0.1))
+    late = Latency(1e-3, torque_delay=3e-3, image_period=0.01)
+    form = MatrixForm(loop.draw(20, np.random.default_rng(0)), loop.setting)
+    sampled = SampledForm(form, np.zeros(2), Hold.of(late), 1.0, 0.2, Turning(0.0, stiffness=5.0))
+    assert sampled._b == pytest.approx((1e-3 + 3e-3) * 5.0 * 0.2)
 
 
 def test_whatever_turns_faster_leaves_less_of_the_margin():
