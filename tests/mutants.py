@@ -184,7 +184,7 @@ MUTANTS = [
         "tests/robots/test_kinematic_regressor.py",
     ),
     (
-        "what is known is forgotten for the next places", "calibration/next_configurations.py",
+        "what is known is forgotten for the next places", "calibration/calibrate.py",
         "P, u = calibration.covariance,", "u =",
         "tests/calibration/test_calibrate.py",
     ),
