@@ -98,6 +98,11 @@ MUTANTS = [
         "tests/stability/test_sampled_test.py",
     ),
     (
+        "margins are those of errors that were too small", "stability/certificates/certificate.py",
+        "margins = form.take(slice(n)).margins(weights)", "pass",
+        "tests/stability/test_sampled_test.py",
+    ),
+    (
         "a limiter of another alpha protects V", "stability/certificates/limit_cost.py",
         "np.allclose(known.A1, limiter.alpha * np.eye(len(kp)), rtol=1e-9)", "True",
         "tests/stability/test_limit_cost.py",
@@ -183,7 +188,7 @@ MUTANTS = [
         "tests/robots/test_kinematic_regressor.py",
     ),
     (
-        "what is known is forgotten for the next places", "calibration/next_configurations.py",
+        "what is known is forgotten for the next places", "calibration/calibrate.py",
         "P, u = calibration.covariance,", "u =",
         "tests/calibration/test_calibrate.py",
     ),
@@ -2230,7 +2235,7 @@ MUTANTS = [
         "tests/controllers/test_adaptive_kinematics.py",
     ),
     (
-        "the noise of next places in m, not m²", "calibration/next_configurations.py",
+        "the noise of next places in m, not m²", "calibration/calibrate.py",
         "best @ CH + _NOISE**2 * np.eye(3)", "best @ CH + _NOISE * np.eye(3)",
         "tests/calibration/test_calibrate.py",
     ),
