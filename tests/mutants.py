@@ -99,6 +99,11 @@ MUTANTS = [
         "tests/stability/test_sampled_test.py",
     ),
     (
+        "margins are those of errors that were too small", "stability/certificates/certificate.py",
+        "margins = form.take(slice(n)).margins(weights)", "pass",
+        "tests/stability/test_sampled_test.py",
+    ),
+    (
         "a limiter of another alpha protects V", "stability/certificates/limit_cost.py",
         "np.allclose(known.A1, limiter.alpha * np.eye(len(kp)), rtol=1e-9)", "True",
         "tests/stability/test_limit_cost.py",
