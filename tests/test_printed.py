@@ -31,11 +31,11 @@ def results():
         "limited": (aj.TorqueLimited(law, aj.Limits(effort=50.0)), "set-point law (6), "),
         "tracking": (aj.TrackingController(task), "tracking law, "),
         "run": (aj.simulate(plant, law, target, [0.5, 1.2], 0.2, dt=1e-3), "error 0.1"),
-        "report": (study.report(20), "certified: "),
+        "report": (study.report(20), "certified, margin "),
         "rollouts": (study.rollouts(2), "converged: "),
         "map": (study.map({"error": (0.5, 1.0), "a": (1.0, 2.0)}, 1), "converged: "),
-        "tolerance": (tolerated["matrix"], "tolerated by the matrix form (not "),
-        "suggestion": (study.gains(3.0, test="local", configurations=20), "gains: found, "),
+        "tolerance": (tolerated["certified"], "tolerated by one Lyapunov function "),
+        "suggestion": (study.gains(3.0, test="stable", configurations=20), "gains: found, "),
     }
 
 

@@ -37,9 +37,9 @@ from common import carried_object, head, parser, row, run_all, write
 import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.stability.certificates.attraction import attraction
-from approxjac.stability.certificates.certificate import sampled_test
-from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
+from approxjac.stability.certificates.certificate import continuous_test
 from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.search.worst import searched_test
 
 ARMS = (
     "two_link", "panda", "ur5", "xarm7", "kinova", "z1", "ur10", "so101", "talos_arm", "tiago_arm",
@@ -177,16 +177,19 @@ def attack(case):
     name = f"{ARMS[number % len(ARMS)]}, {type(controller.task).__name__}, setup {number}"
     loop = ClosedLoop(controller, errors, region)
     try:
-        first, fresh = (MatrixForm(loop.draw(SAMPLES, rng), loop.setting) for _ in range(2))
+        first, fresh = (loop.draw(SAMPLES, rng) for _ in range(2))
     except aj.errors.InvalidInputError:  # Ĵ loses rank in the box
         return nothing(name)
-    known = best_weights(first, "free")
-    if known.margins.min() <= 0.0:
+    if not continuous_test(loop, first).certified:
         return nothing(name)
-    longest = longest_stable(loop, first.samples.take(slice(24)), counted)
+    longest = longest_stable(loop, first.take(slice(24)), counted)
+
+    def certificate(latency):
+        return searched_test(loop, latency, first, rng).checked_on(fresh)
+
     for share in SHARES:
         latency = in_seconds(counted, share * longest)
-        test = sampled_test(loop, known, first, fresh, latency)
+        test = certificate(latency)
         if test.certified and test.level > 0.0:
             break
     else:
@@ -198,7 +201,7 @@ def attack(case):
                 for plant in inner[:RECORDED]]  # fmt: skip
     own, free = test, on_its_own_clock(latency)
     if free != latency:
-        own = sampled_test(loop, known, first, fresh, free)
+        own = certificate(free)
     moving = []
     if own.certified and own.level > 0.0:
         moving = [moved(controller, inner[k % INNER], region, own, free, rng, k % 2 == 0)
@@ -206,7 +209,7 @@ def attack(case):
     found, timed = attraction(loop, test, rng), latency
     if found is None or not found.radius:
         timed = in_seconds(counted, CALMER * share * longest)
-        test = sampled_test(loop, known, first, fresh, timed)
+        test = certificate(timed)
         found = attraction(loop, test, rng)
     radius = 0.0 if found is None else found.radius
     rates, drifts = np.zeros(0), []

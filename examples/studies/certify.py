@@ -22,17 +22,14 @@ from random_loops import Case, build, cases, damped
 
 import approxjac as aj
 from approxjac import law
+from approxjac.stability.certificates.certificate import MatrixTest, Theorem1, theorem1
 from approxjac.stability.certificates.matrix_form import FAMILIES, MatrixForm, Weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.loop.samples import Samples
+from approxjac.stability.search.worst import searched_test
 
-NAMES = {
-    "theorem1": "Theorem 1",
-    "paper": "paper's weights",
-    "free": "free potential",
-    "wide": "widened",
-    "full": "coupled",
-}
-TESTS = tuple(NAMES)  # Theorem 1 and the four families of the matrix form ("test 2")
+NAMES = {"theorem1": "Theorem 1", "free": "free potential", "full": "coupled"}
+TESTS = tuple(NAMES)  # Theorem 1 and the two families of the matrix form ("test 2")
 DAMPINGS = ((1.0, 1.0), (1.0, 4.0), (4.0, 4.0), (4.0, 16.0), (1.0, 0.25), (4.0, 1.0))
 CONFIGURATIONS, FEW = 500, 120  # that a test looks at
 TIME_CONSTANTS, LONGEST, PIECES, UNSTABLE_RUN = 12.0, 200.0, 3, 10.0  # of a run; [s]
@@ -41,6 +38,15 @@ CONVERGED = 1e-3  # of the error at the start
 RISE = 1e-7  # of V, relative to its largest value, that is round-off
 UNDECIDED = 1e-3  # max Re λ nearer to zero is not judged [1/s]
 BINS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, math.inf)  # p over σ_min(Ĵ)
+
+
+class Assessment(NamedTuple):
+    """What the tests in continuous time say before anything moves."""
+
+    samples: Samples
+    theorem1: Theorem1
+    test: MatrixTest  # of one function, in which a search found no case that fails
+    singular_q: np.ndarray | None  # where Ĵ loses rank
 
 
 class Outcome(NamedTuple):
@@ -89,7 +95,7 @@ class Outcome(NamedTuple):
 def run_case(case):
     """Test a case, run it, and hold one against the other."""
     loop = build(case)
-    report = assess(loop)
+    report = assess(loop.controller, loop.plant, loop.region, loop.target)
     local = aj.local_stability(loop.plant, loop.controller, loop.q_target)
     pieces, converged, stayed = move(loop, local.decay_rate)
     chosen = functions(report)
@@ -114,10 +120,14 @@ def run_case(case):
     )
 
 
-def assess(loop, configurations=CONFIGURATIONS):
+def assess(controller, plant, region, target, configurations=CONFIGURATIONS):
     """Return what the tests say before anything moves."""
-    return aj.Study(loop.controller, loop.plant, loop.region, target=loop.target).report(
-        configurations
+    loop, rng = ClosedLoop(controller, plant, region, target), np.random.default_rng(0)
+    samples, fresh = (loop.draw(configurations // 2, rng) for _ in range(2))
+    test = searched_test(loop, None, samples, rng).checked_on(fresh)
+    everywhere = test.form.samples.join(fresh)
+    return Assessment(
+        everywhere, theorem1(everywhere, loop.setting), test, loop.singular_configuration(samples)
     )
 
 
@@ -131,10 +141,9 @@ def functions(report):
         m = len(kp)
         alpha = first.alpha
         found["theorem1"] = Weights(alpha * np.eye(m), np.zeros((m, m)), kp + alpha * kv)
-    last = list(report.matrix.values())[-1]
-    if last.certified:  # and so do the families that hold its own
-        families = FAMILIES[FAMILIES.index(last.family) :]
-        found |= dict.fromkeys(map(str, families), last.weights)
+    if report.test.certified:  # and so do the families that hold its own
+        families = FAMILIES[FAMILIES.index(report.test.family) :]
+        found |= dict.fromkeys(map(str, families), report.test.weights)
     return found
 
 
@@ -245,8 +254,9 @@ def choose_damping(loop, report):
         return DAMPINGS[0]
     for factors in DAMPINGS[1:]:
         other = damped(loop, *factors)
+        parts = other.controller, other.plant, other.region, other.target
         # most fail, and few configurations tell
-        if certified_by_test_2(assess(other, FEW)) and certified_by_test_2(assess(other)):
+        if certified_by_test_2(assess(*parts, FEW)) and certified_by_test_2(assess(*parts)):
             local = aj.local_stability(other.plant, other.controller, other.q_target)
             if move(other, local.decay_rate)[1]:
                 return factors

@@ -8,14 +8,14 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-from certify import NAMES
+from certify import NAMES, assess, functions
 from common import head, parser, row, write
 
 import approxjac as aj
 from approxjac import law
 from approxjac.paper import experiments as paper
 from approxjac.stability.certificates.certificate import theorem1
-from approxjac.stability.certificates.matrix_form import FAMILIES, MatrixForm, best_weights
+from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 FIGURES = (3, 4, 5, 6, 7)
@@ -30,33 +30,23 @@ def verdict(figure):
     plant, controller = paper.build(paper.EXPERIMENTS[figure], setup)
     q = np.array(setup.target)
     reports = [
-        aj.Study(
+        assess(
             controller,
             plant,
             aj.JointBox.around(plant.robot, q, radius),
-            target=plant.sensor.value(q),
-        ).report(20 if radius == 0.0 else 600)
+            plant.sensor.value(q),
+            20 if radius == 0.0 else 600,
+        )
         for radius in RADII
     ]
     at_target = reports[0]
     return {
         "figure": figure,
-        "rate": float(at_target.local.decay_rates.min()),
+        "rate": aj.local_stability(plant, controller, q).decay_rate,
         "p": at_target.theorem1.p,
         "allowed_p": at_target.theorem1.allowed_p,
-        "certified": [certifying(report) for report in reports],
+        "certified": [list(functions(report)) for report in reports],
     }
-
-
-def certifying(report):
-    """Return the names of the tests that certify."""
-    if report.singular_q is not None:
-        return []
-    passed = ["theorem1"] if report.theorem1.holds else []
-    last = list(report.matrix.values())[-1]
-    if last.certified:  # and so do the families that hold its own
-        passed += FAMILIES[FAMILIES.index(last.family) :]
-    return passed
 
 
 def largest_roll(test, large_gains=False):

@@ -29,12 +29,9 @@ LOOPS, FEW, SEED = 800, 30, 22
 SIZE = 3.0  # of errors at most: a roll of 270°, lengths wrong by a factor of 6
 BOX, CONFIGURATIONS = 0.05, 60  # half width [rad]
 NAMES = {
-    "paper": "paper's weights",
     "free": "free potential",
-    "wide": "widened",
-    "full": "widened, coupled",
-    "K": "widened, K",
-    "full K": "widened, coupled, K",
+    "full": "coupled",
+    "K": "coupled, K",
     "Lyapunov": "of Lyapunov's equation",
 }
 
@@ -151,8 +148,7 @@ def certified(form):
 def at_target(target, setting):
     """Return which families certify a target, those with K among them."""
     found, form = certified(MatrixForm(target, setting)), AtRest(target, setting)
-    for name, family in (("K", "wide"), ("full K", "full")):
-        found[name] = bool(best_weights(form, form.unknowns(family)).margins.min() > 0.0)
+    found["K"] = bool(best_weights(form, form.unknowns("full")).margins.min() > 0.0)
     found["Lyapunov"] = bool(form.margins(of_lyapunov(target, setting)).min() > 0.0)
     return found
 

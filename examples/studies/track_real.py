@@ -64,12 +64,12 @@ class Arm:
         sd = [SD.get(each.rpartition(".")[2], SD_ORIGINS) for each in regressor.names]
         off = rng.normal(size=regressor.p) * sd
         off[regressor.n_lengths - 3 : regressor.n_lengths] = 0.0  # the object is instead
-        shifts, turns, _ = regressor.errors(regressor.theta + off)
+        self.errors = shifts, turns = regressor.errors(regressor.theta + off)[:2]
         held = self.belief.with_object(*carried_object(name), axis=AXIS.get(name, "x"))
         self.truth = held if path == "tool only" else held.with_kinematic_error(shifts, turns)
         axis = rng.normal(size=3)
         turn = math.radians(178.0 if seed % 2 else 60.0) * axis / np.linalg.norm(axis)
-        self.tracker = TrackerTask(self.truth, turn, OFFSET)
+        self.tracker, self.turn = TrackerTask(self.truth, turn, OFFSET), turn
         self.q0 = self.belief.configuration(START.get(name, ready(name)))
         self.rng, self.R = rng, pin.exp3(turn)
 
@@ -81,7 +81,7 @@ class Arm:
     def waypoints(self, name):
         """Return 24 lines that take their time."""
         span, time = SPAN.get(name, 0.7), TIME.get(name, 40.0)
-        q = [self.q0, *(self.around(span, self.rng) for _ in range(24))]
+        self.stops = q = [self.q0, *(self.around(span, self.rng) for _ in range(24))]
         points, low, high = np.array([self.tracker.value(each) for each in q]), 0.01, 3.0
         for _ in range(40):  # an acceleration of 3/s times the speed
             speed = 0.5 * (low + high)

@@ -107,7 +107,7 @@ async def watch_and_stop(url):
 )
 def test_the_same_file_is_simulated_analysed_and_shown(name, certified, tmp_path, monkeypatch):
     """And a run that was stopped from the page is written as others are."""
-    local = partialmethod(aj.Study.tolerance, tests=("local",), draws=20)  # test_stability.py
+    local = partialmethod(aj.Study.tolerance, tests=("stable",), draws=20)  # test_stability.py
     monkeypatch.setattr(aj.Study, "tolerance", local)
     file = Path(__file__).parents[2] / "examples" / "scenarios" / f"{name}.toml"
     folders = ran, analysed, shown = [tmp_path / each for each in ("ran", "analysed", "shown")]

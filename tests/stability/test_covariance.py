@@ -198,10 +198,11 @@ def study(known):
     return aj.Study(law, errors, aj.JointBox.around(weightless, q, 0.2), duration=1.5)
 
 
+@pytest.mark.study
 def test_a_report_draws_from_it(study):
     report = study.report(100)
-    (near,) = (row for row in report.rows if row[:2] == ("sampled", "near targets"))
-    assert report.certified_by is not None
+    (near,) = (row for row in report.rows if row[:2] == ("tests", "near targets"))
+    assert report.passed
     assert near.verdict == "stable"
     assert f"{study.uncertainty.d} learnt numbers up to {FAR:.3g} sd off" in str(report)
     k = len(study.uncertainty.corners())
@@ -229,9 +230,9 @@ def test_rollouts_in_lanes_are_those_of_python(study, known, learns):
 
 
 def test_tolerance_and_map_scale_the_ellipsoid(study):
-    (tolerance,) = study.tolerance(tests=["local"], largest=2.0, draws=40).values()
-    assert tolerance.scale == 2.0
-    assert tolerance.uncertainty.factor == 2.0
+    (tolerance,) = study.tolerance(tests=["stable"], largest=0.5, draws=40).values()
+    assert tolerance.scale == 0.5
+    assert tolerance.uncertainty.factor == 0.5
     grid = study.map({"error": [0.0, 1.0], "a": [10.0, 20.0]}, 4)
     assert grid.share.shape == (2, 2)
     for (scale, _), runs in grid.points.items():

@@ -144,6 +144,8 @@ def test_a_report_of_such_a_loop_does_not_certify_it():
     assert late.radius() > 1.01
     region = aj.JointBox.around(late.plant.robot, late.q, 0.01)
     report = aj.Study(late.law, late.plant, region, latency=late.latency).report(20)
-    assert (report.spectral_radii > 1.01).all()
+    assert (report.loop.spectral_radii(report.samples, late.latency) > 1.01).all()
+    assert report.growth.rate > np.log(1.01) / late.latency.period
+    assert report.refuted
     assert not report.passed
     assert report.reason == "unstable"

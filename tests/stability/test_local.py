@@ -256,7 +256,7 @@ def test_forces_of_joints_that_slide_are_in_newtons():
     assert gantry.force_units == ("N", "N")
     assert "gravity is off by up to 29.4 N\n" in str(study.report(20))
     for use in (
-        lambda: study.tolerance(["local"]),
+        lambda: study.tolerance(["stable"]),
         lambda: aj.local_stability(errors.nominal, law, np.zeros(2)),
     ):
         with pytest.raises(aj.InvalidInputError, match=r"an error of [0-9.]+ N(;| with)"):

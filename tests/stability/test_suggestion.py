@@ -66,7 +66,7 @@ def test_suggested_gains_follow_the_latency(tools, box):
     late = aj.Latency(period=5e-3, torque_delay=1e-2)
     law = law_of(tools, aj.Gains(400.0, 80.0, 5.0))
     early, found = (
-        aj.Study(law, tools, box, latency=each).gains(2.0, test="local", configurations=40)
+        aj.Study(law, tools, box, latency=each).gains(2.0, test="stable", configurations=40)
         for each in (KHZ, late)
     )
     assert np.sum(found.found.gains.damping) < np.sum(early.found.gains.damping)
@@ -92,7 +92,7 @@ def test_a_candidate_is_judged_by_the_slowest_and_heaviest_robot_as_it_is_sample
     law = aj.SetpointController(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0))
     for q in (np.array([0.4, 1.2]), np.array([2.7, -1.2])):
         study = aj.Study(law, errors, aj.JointBox.around(arm, q, 1e-7), latency=late)
-        first = study.gains(3.0, test="local", configurations=20, torque_limits=limits).tried[0]
+        first = study.gains(3.0, test="stable", configurations=20, torque_limits=limits).tried[0]
         own = law_of(weightless, first.gains)
         rates, shares = [], []
         for values in errors.corners():
@@ -120,7 +120,7 @@ def test_torques_at_the_start_are_those_of_the_law_that_carries_the_weight(monke
     law = aj.SetpointController(errors.believed_task(), aj.Gains(60.0, 20.0, 1.0))
     limits = np.array([50.0, 30.0])
     study = aj.Study(law, errors, aj.JointBox.around(arm, (0.4, 1.2), 0.6))
-    first = study.gains(1.0, test="local", configurations=20, torque_limits=limits).tried[0]
+    first = study.gains(1.0, test="stable", configurations=20, torque_limits=limits).tried[0]
     own = aj.SetpointController(law.task, first.gains, gravity=aj.NoGravity(law.task.robot))
     ((loop, samples),), shares = drawn, []
     for t, q, x, x_d in zip(samples.truth, samples.q, samples.x, samples.x_d, strict=True):
@@ -140,7 +140,7 @@ def test_candidates_are_tried_from_the_default_gains_on_to_those_far_from_them(m
     errors = aj.Uncertainty(arm, plane, object_length=(0.0, 0.1), object_axis="x")
     law = law_of(errors, aj.Gains(60.0, 20.0, 1.0))
     study = aj.Study(law, errors, aj.JointBox.around(arm, (0.4, 1.2), 0.1))
-    found = study.gains(1.0, test="local", configurations=1, torque_limits=1e-6)  # none will do
+    found = study.gains(1.0, test="stable", configurations=1, torque_limits=1e-6)  # none will do
     task, factors = law.task, []
     usual = default_gains(task, 1.0, 1.0 / study.timing.of_velocity)
     for gains in (each.gains for each in found.tried):
@@ -156,7 +156,7 @@ def test_candidates_are_tried_from_the_default_gains_on_to_those_far_from_them(m
 
 
 @pytest.mark.usefixtures("one_candidate")
-@pytest.mark.parametrize("test", ["matrix", "local"])
+@pytest.mark.parametrize("test", ["certified", "stable"])
 def test_gains_that_grow_as_they_are_sampled_fail(monkeypatch, test):
     """By as much as the spectral radius of the loop is above 1."""
     monkeypatch.setattr(suggested_gains, "_DAMPING", (20.0,))
@@ -189,19 +189,20 @@ def test_the_smallest_counts_are_taken(tools, box):
     study = aj.Study(law_of(tools, aj.Gains(400.0, 80.0, 5.0)), tools, box)
     with pytest.raises(aj.InvalidInputError, match=r"configurations must be .*20, got 19"):
         study.gains(configurations=19)
-    assert study.tolerance(["theorem1"], draws=2, precision=0.5)["theorem1"].scale > 0.0
+    assert study.tolerance(["stable"], draws=1, precision=0.5)["stable"].scale > 0.0
 
 
 def test_gains_that_a_report_refuses_are_not_suggested(tools, box, monkeypatch):
-    """The first that meet the demands in continuous time are passed over."""
+    """The first that meet the demands in the samples drawn are passed over."""
     refused = []
 
     def report(study, configurations):
         refused.append(study.controller.gains)
-        return SimpleNamespace(passed=len(refused) > 1, sampled=SimpleNamespace(margin=0.2))
+        return SimpleNamespace(passed=len(refused) > 1, test=SimpleNamespace(margin=0.2))
 
     monkeypatch.setattr(aj.Study, "report", report)
-    monkeypatch.setattr(suggested_gains, "margin", lambda test, samples, setting: 0.3)
+    passes = SimpleNamespace(margin=0.3)
+    monkeypatch.setattr(suggested_gains, "sampled_test", lambda loop, samples, latency: passes)
     law = law_of(tools, aj.Gains(400.0, 80.0, 5.0))
     found = aj.Study(law, tools, box).gains(2.0, configurations=20)
     assert len(refused) == 2

@@ -14,8 +14,9 @@ from approxjac.controllers import Latency, ModelGravity
 from approxjac.law import sampled_form
 from approxjac.robots import Dynamics, GravityRegressor
 from approxjac.stability import local_stability
+from approxjac.stability.certificates.certificate import RESERVE
 from approxjac.stability.certificates.limit_cost import limit_cost
-from approxjac.stability.certificates.matrix_form import Hold
+from approxjac.stability.certificates.matrix_form import Hold, MatrixForm
 
 
 @functools.cache
@@ -44,9 +45,11 @@ def test_V_falls_by_the_margin_at_least_along_the_true_dynamics(arm, gravity):
     learns = gravity == "learnt"
     controller = arm.learning if learns else arm.known
     report = arm.learnt_report if learns else arm.report
-    assert report.certified_in_continuous_time
-    test = max(report.matrix.values(), key=lambda each: (each.certified, each.margin))
-    weights, samples = test.weights, report.samples
+    assert report.passed
+    assert report.is_sampled != learns
+    weights, samples = report.test.weights, report.test.form.samples
+    in_time = MatrixForm(samples, report.loop.setting).margins(weights)
+    assert (in_time >= report.test.margins - 1e-12).all()
     rng, tightest = np.random.default_rng(0), np.inf
     theta = arm.theta if learns else np.zeros(0)
     for k in range(0, len(samples), 2):
@@ -69,7 +72,7 @@ def test_V_falls_by_the_margin_at_least_along_the_true_dynamics(arm, gravity):
         J_hat, e = arm.task.jacobian(q), measurement.x - x_d
         D = J_hat.T * arm.kv @ J_hat + arm.damping * np.eye(len(v))
         size = v @ D @ v + arm.kp * e @ (J_hat @ arm.cross_weight(weights, q) @ e)
-        assert V_dot <= -test.margin * size + 1e-6 * (1.0 + V(0.0)) + 1e-4 * size
+        assert V_dot <= -in_time[k] * size + 1e-6 * (1.0 + V(0.0)) + 1e-4 * size
         if size > 1e-3:
             tightest = min(tightest, -V_dot / size)
     assert tightest < 1.2  # the designed dissipation, or there were nothing to see
@@ -84,8 +87,8 @@ def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(nam
     """
     arm, rng = heavy(name), np.random.default_rng(3)
     report = arm.report_of(arm.known, configurations=20, latency=Latency(period))
-    test = report.sampled
-    assert report.certified_by == "sampled form"
+    test = report.test
+    assert report.passed
     assert test.latency.period == period
     assert 0.0 < test.level <= 0.5 * test.speed**2
     q, x_d = arm.q, arm.sensor.value(arm.q)
@@ -114,7 +117,7 @@ def test_motions_from_the_level_are_as_slow_as_assumed_and_end_at_the_target(nam
 
 def test_the_level_is_that_of_the_slowest_bound(arm):
     """At every sample: max |q̇|_M over V ≤ c is at most v̄, and v̄ at the worst of them."""
-    test, samples = arm.report.sampled, arm.report.samples
+    test, samples = arm.report.test, arm.report.test.form.samples
     G = np.array([arm.cross_weight(test.weights, q) for q in samples.q])
     W = np.diag(test.weights.w) + test.weights.coupling * np.ones((len(test.weights.w),) * 2)
     fastest = []
@@ -261,9 +264,10 @@ def test_weight_that_is_held_for_a_period_takes_damping(period, gains, holds):
     x_d, box = plant.sensor.value(q), aj.JointBox.around(plant.robot, q, 0.0)
     report = aj.Study(law, plant, box, target=x_d, latency=Latency(period)).report(20)
     assert (spectral_radius(plant, law, x_d, q, period) < 1.0) == holds
-    assert (report.certified_by == "sampled form") == holds
+    assert report.passed == holds
+    assert report.refuted != holds
     # the certificate by itself, whatever the exact linearisation tells beside it
-    assert report.sampled.certified == holds
+    assert report.test.certified == holds
 
 
 def test_weight_that_is_learnt_and_held_takes_damping():
@@ -279,11 +283,11 @@ def test_weight_that_is_learnt_and_held_takes_damping():
 
 def test_a_certificate_needs_all_samples(arm):
     """Those that the function was chosen on, and those that it was checked in."""
-    for test in (arm.report.sampled, max(arm.report.matrix.values(), key=lambda t: t.certified)):
+    for test in (arm.report.test, arm.learnt_report.test):
         assert test.certified
         assert not dataclasses.replace(test, violations=1).certified
         worse = test.margins.copy()
-        worse[-1] = 0.0
+        worse[-1] = 0.99 * RESERVE
         assert not dataclasses.replace(test, margins=worse).certified
 
 
@@ -313,11 +317,17 @@ def test_errors_that_grow_slowly_are_unstable(excess, gravity):
         period *= excess / (fastest - 1.0)
     found = report.loop.spectral_radii(wrong, Latency(period))
     assert 1.0 < found.max() < 1.0 + 2.0 * excess
-    assert dataclasses.replace(report, spectral_radii=found).contradiction
-    assert dataclasses.replace(report, spectral_radii=found).certified_by is None
-    assert not dataclasses.replace(report, spectral_radii=found).passed
-    assert dataclasses.replace(report, spectral_radii=np.ones(1)).contradiction
-    assert not dataclasses.replace(report, spectral_radii=np.full(1, 1.0 - 1e-9)).contradiction
+    rate = float(report.loop.growth(wrong, Latency(period).in_samples()).max())
+    assert rate == pytest.approx(np.log(found.max()) / period, rel=1e-6)
+
+    def growing(rate):
+        return dataclasses.replace(report, growth=report.growth._replace(rate=rate))
+
+    assert growing(rate).contradiction == "unstable"
+    assert growing(rate).certifying is None
+    assert not growing(rate).passed
+    assert growing(0.0).contradiction
+    assert not growing(-1e-9).contradiction
 
 
 # -- limits of effort -----------------------------------------------------------------------------
@@ -329,7 +339,7 @@ def limited(arm, effort, **options):
 
 def largest_torques(arm, report, level):
     """At each sample, the largest |τᵢ| over all states with ½zᵀPz ≤ level: exactly, by duality."""
-    test, samples = report.sampled, report.samples
+    test, samples = report.test, report.samples
     W = np.diag(test.weights.w) + test.weights.coupling * np.ones((len(test.weights.w),) * 2)
     found = []
     for q, M in zip(samples.q, samples.M, strict=True):
@@ -363,7 +373,7 @@ def test_the_weight_takes_room_in_both_directions(arm):
         seen += 1
         effort = np.abs(g).max(axis=0) + 0.2 * pull.max(axis=0)
         effort[i] = np.abs(g[:, i]).max() + 0.02 * pull[:, i].max()
-        cost = limit_cost(arm.report.loop, limited(arm, effort), samples, arm.report.sampled, None)
+        cost = limit_cost(arm.report.loop, limited(arm, effort), samples, arm.report.test, None)
         (free,) = cost.free.values()
         assert cost.holds
         assert (np.abs(g) + free * pull <= effort * (1.0 + 1e-9)).all()
@@ -377,7 +387,7 @@ def test_motors_hold_the_arm_only_where_they_have_more_than_its_weight(arm):
     for share, holds in ((1.001, True), (0.999, False)):
         effort = np.maximum(share * g, 1e-3)
         cost = limit_cost(
-            arm.report.loop, limited(arm, effort), arm.report.samples, arm.report.sampled, None
+            arm.report.loop, limited(arm, effort), arm.report.samples, arm.report.test, None
         )
         assert cost.holds == holds
         assert (cost.level > 0.0) == holds
@@ -390,7 +400,7 @@ def test_below_the_level_no_torque_is_beyond_the_efforts(arm):
     limiter = limited(arm, effort)
     report = arm.report_of(limiter)
     level = report.limits.level
-    assert 0.0 < level == report.sampled.level < arm.report.sampled.level
+    assert 0.0 < level == report.test.level < arm.report.test.level
     assert (largest_torques(arm, report, level) <= effort * (1.0 + 1e-9)).all()
     clipped = arm.report_of(limited(arm, effort, proof=False)).limits
     assert clipped.level == level
@@ -402,14 +412,14 @@ def test_below_the_level_no_torque_is_beyond_the_efforts(arm):
 
 def test_limits_never_certify_more_than_there_was(arm):
     """Whatever the motors have, V ≤ c is what it was without them, and so are its starts."""
-    before, report = arm.report.sampled, arm.report_of(limited(arm, 1e6))
-    after = report.sampled
+    before, report = arm.report.test, arm.report_of(limited(arm, 1e6))
+    after = report.test
     assert after.level == report.limits.level == before.level
     assert_allclose(after.certified_error, before.certified_error)
 
 
 def test_a_level_never_grows(arm):
-    test, samples = arm.report.sampled, arm.report.samples
+    test, samples = arm.report.test, arm.report.samples
     for share in (0.0, 0.3, 1.0, 2.0):
         found = test.below(share * test.level)
         assert_allclose(found.level, min(share, 1.0) * test.level)
@@ -436,7 +446,8 @@ def test_learnt_gravity_has_room_where_the_true_weight_leaves_it(arm):
     assert_allclose(free, ((effort - np.abs(g)) / pull).min(), rtol=1e-9)
     believed = np.array([Dynamics(arm.belief).g(q) for q in samples.q])
     assert abs(free / ((effort - np.abs(believed)) / pull).min() - 1.0) > 1e-3
-    assert found.sampled is report.sampled is None
+    assert not found.is_sampled
+    assert not report.is_sampled
     assert found.limits.level == 0.0
     assert found.limits.protects  # y of learning is that of V
     clips = aj.TorqueLimited(arm.learning, aj.Limits(effort=effort), proof=False)
@@ -518,7 +529,7 @@ def test_gravity_that_is_wrong_certifies_nothing(arm):
     error = np.abs([Dynamics(arm.belief).g(q) - weight_of(arm, q) for q in report.samples.q]).max()
     assert 0.5 * error <= report.gravity_error <= error * (1.0 + 1e-9)
     assert not report.passed
-    assert report.certified_by is None
+    assert report.reason == "gravity"
     assert report.attraction is None
     assert arm.learnt_report.gravity_error < 1e-6
     assert arm.learnt_report.passed

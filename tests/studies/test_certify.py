@@ -64,7 +64,7 @@ def test_the_lyapunov_function_that_is_watched_falls_as_its_matrix_says(case):
 
 
 def test_nothing_contradicts_a_test_and_the_table_says_so(outcome):
-    assert outcome.certified["wide"]
+    assert outcome.certified["full"]
     assert outcome.counterexamples() == []
     assert outcome.near_rate == pytest.approx(outcome.rate, rel=0.6)
     assert "Counterexamples: 0." in certify.table([outcome])
@@ -73,12 +73,12 @@ def test_nothing_contradicts_a_test_and_the_table_says_so(outcome):
 def test_every_counterexample_is_named_and_sets_the_exit_code(outcome, monkeypatch, tmp_path):
     bad = [
         outcome._replace(stayed=True, converged=False, damping=None),
-        outcome._replace(rises={**outcome.rises, "wide": 1e-3}),
+        outcome._replace(rises={**outcome.rises, "full": 1e-3}),
         outcome._replace(near_rate=-0.2),
     ]
     found = [text for each in bad for text in each.counterexamples()]
-    assert any("wide certifies, the motion stays in the region and does not" in t for t in found)
-    assert any("wide certifies, V rises by 0.001 of it within the region" in t for t in found)
+    assert any("full certifies, the motion stays in the region and does not" in t for t in found)
+    assert any("full certifies, V rises by 0.001 of it within the region" in t for t in found)
     assert any("a small error dies out at -0.2/s" in text for text in found)
     assert outcome._replace(stayed=False, converged=False).counterexamples() == []
     monkeypatch.setattr(certify, "run_all", lambda *_: bad)
@@ -93,7 +93,7 @@ def test_the_papers_figures_4_6_and_7_are_certified_at_the_target(monkeypatch):
     assert -found[3]["rate"] == pytest.approx(0.0588, abs=5e-5)
     assert -found[4]["rate"] == pytest.approx(-0.0920, abs=5e-5)
     assert found[3]["certified"][0] == []
-    assert found[4]["certified"][0] == ["free", "wide", "full"]
+    assert found[4]["certified"][0] == ["free", "full"]
     for verdict in found.values():
         assert verdict["p"] > 10.0 * verdict["allowed_p"]
     assert "| 4 | -0.0920/s | 0.0381 | 0.0005 |" in certify_two_link.table(found.values(), [])
@@ -101,14 +101,13 @@ def test_the_papers_figures_4_6_and_7_are_certified_at_the_target(monkeypatch):
 
 @pytest.mark.long
 def test_the_camera_roll_that_each_test_allows():
-    rolls = {test: certify_two_link.largest_roll(test, True) for test in ("paper", "free", "local")}
-    assert rolls["paper"] == pytest.approx(60.0, abs=0.1)
+    rolls = {test: certify_two_link.largest_roll(test, True) for test in ("free", "local")}
     assert rolls["free"] == pytest.approx(90.0, abs=0.15)
     assert rolls["local"] == pytest.approx(90.0, abs=0.15)
     # with matrices in place of alpha, nothing is lost here
-    wide, local = (certify_two_link.largest_roll(test) for test in ("wide", "local"))
-    assert wide == pytest.approx(73.0, abs=0.1)
-    assert wide == pytest.approx(local, abs=0.1)
+    full, local = (certify_two_link.largest_roll(test) for test in ("full", "local"))
+    assert full == pytest.approx(73.0, abs=0.1)
+    assert full == pytest.approx(local, abs=0.1)
 
 
 def test_shares_of_a_pandas_configurations():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
@@ -20,7 +20,7 @@ from approxjac.files import together, write_text
 from approxjac.formatting import plain, wrapped
 from approxjac.robots import KinematicBelief, Robot
 from approxjac.scenario import build
-from approxjac.scenario.records import Analysis
+from approxjac.scenario.records import Analysis, Goal
 from approxjac.scenario.refusals import require_reportable
 from approxjac.scenario.scenario import Scenario
 from approxjac.scenario.starts import configuration_of
@@ -37,6 +37,7 @@ from approxjac.validation import Array
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_AWAY = 0.01  # that the start of a refuting run is away from its target [rad or m]
 _OF_MAP = ("names", "x", "y", "share", "intervals")  # in summary.json
 
 
@@ -179,10 +180,12 @@ def consequences(result: StabilityResult, out: Path) -> str:
     """Return the errors tolerated, and the outcome of the map."""
     blocks: list[list[str]] = []
     if result.tolerances:
-        how = "in continuous time, by a search on fewer configurations; a report may find less:"
+        how = "by a search on fewer configurations; a report may find less:"
         blocks.append([*wrapped(how), *map(str, result.tolerances.values())])
     if result.map is not None:
         blocks.append([str(result.map), f"The map is {out / 'map.png'}"])
+    if refutation(result) is not None:
+        blocks.append([f"See the errors grow: approxjac simulate {out / 'refuted.toml'}"])
     return "\n\n".join("\n".join(block) for block in blocks)
 
 
@@ -205,6 +208,38 @@ def draw_map(result: StabilityResult) -> Figure | None:
     for ax, (title, share) in zip(axes, shares.items(), strict=True):
         view.plot_shares(grid.x, grid.y, share, labels=labels, own=here, ax=ax, title=title)
     return figure
+
+
+def refutation(result: StabilityResult) -> Scenario | None:
+    """Return a scenario with the robot and the target of which a report says that errors grow.
+
+    None where they do not, or of errors of cameras and of joints that are believed elsewhere, which
+    a scenario has no keys for.
+    """
+    scenario, growth, errors = result.scenario, result.report.growth, uncertainty_of(result.study)
+    believed, controller = scenario.believed, scenario.controller
+    if not growth.grows or errors is None or errors.camera or believed.shifts or believed.rotations:
+        return None
+    (length, mass), shifts, rotations = errors.differences(growth.values)
+    true, q = scenario.true, errors.arm.angles(growth.q)
+    object_ = replace(true.object, length=length, mass=mass)
+    held = replace(believed.object.like(true.object), length=errors.believed_length)
+    held = replace(held, mass=errors.believed_mass)
+    true = replace(true, object=object_, calibration=None)
+    true = replace(true, shifts=_listed(shifts), rotations=_listed(rotations))
+    law = "setpoint" if controller.law is None else controller.law
+    goal = Goal(configuration=tuple(q))
+    return replace(
+        scenario,
+        true=true,
+        believed=replace(believed, object=held),
+        controller=replace(controller, law=law),
+        run=replace(scenario.run, start=tuple(q + _AWAY), target=goal),
+    )
+
+
+def _listed(errors: Mapping[str, Array]) -> dict[str, Any]:
+    return {joint: tuple(error.tolist()) for joint, error in errors.items() if error.any()}
 
 
 def summary(result: StabilityResult) -> dict[str, Any]:
@@ -235,7 +270,10 @@ def write(result: StabilityResult, out: Path) -> None:
         if drawn is not None:
             view.save_figure(drawn, folder / "map")
         result.scenario.save(folder / "scenario.toml")
+        if (refuted := refutation(result)) is not None:
+            refuted.save(folder / "refuted.toml")
         write_text(folder / "summary.json", json.dumps(summary(result), indent=2) + "\n")
-        for ending in ("png", "svg") if drawn is None else ():
-            # no map of another run beside the other files
-            (out / f"map.{ending}").unlink(missing_ok=True)
+        # no map of another run beside the other files, nor its robot
+        old = ["map.png", "map.svg"] if drawn is None else []
+        for name in [*old, "refuted.toml"] if refuted is None else old:
+            (out / name).unlink(missing_ok=True)

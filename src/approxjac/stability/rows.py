@@ -7,22 +7,21 @@ from approxjac.controllers import Latency
 from approxjac.formatting import plain, wrapped
 
 _PARTS = {
-    "about": "about",
+    "tests": "tests",
     "beware": "beware",
-    "sampled": "sampled, with delays (what the verdict is about)",
     "limits": "torque limits",
     "rollouts": "rollouts (simulated, sampled, with delays)",
-    "continuous": "in continuous time (to compare)",
-    "worst": "worst cases (what to look at first)",
+    "worst": "worst cases found (what to look at first)",
     "other law": "tests that apply",
+    "about": "about",
 }
 
 
 class Row(NamedTuple):
     """A finding of a report."""
 
-    # part of the report: "verdict", "about", "beware", "sampled", "limits", "continuous", "worst",
-    # "rollouts" or "other law"
+    # part of the report: "verdict", "tests", "beware", "limits", "rollouts", "worst", "other law",
+    # or "about"
     part: str
     name: str  # name of the test
     verdict: str  # a word or two; "" if there is none

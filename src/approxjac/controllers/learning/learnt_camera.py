@@ -15,6 +15,7 @@ from approxjac.interface import Measurement, Target
 from approxjac.law import PredictedError
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import PointMotion, Unknowns
+from approxjac.robots.traced import moved
 from approxjac.tasks import ImageTask
 from approxjac.tasks.analysis import (
     controllable_coordinates,
@@ -29,10 +30,11 @@ _EXPLAINED = 4.0
 _MOVES = 2.0  # times as far as believed, and four standard deviations: what is no jump
 _DIFFERENCE = 1e-5  # of rays, either way, from which the lens's curvature is taken
 _USUAL_SD: Mapping[str, float] = {
-    "tool": 0.2, "points": 0.2, "origins": 0.02, "position": 0.5, "rotation": 1.0,
-    "focal_length": 0.3,
+    "tool": 0.2, "points": 0.2, "origins": 0.02, "axes": 3e-3, "encoders": 0.015,
+    "position": 0.5, "rotation": 1.0, "focal_length": 0.3,
 }  # fmt: skip
-_KEYS = 40  # key frames
+_KEYS = 40, 160  # key frames, and with axes
+_ANEW = 4  # of them that each frame linearises anew, with axes
 _MOST = 200.0  # frames that one of them counts for at most
 _NEW = (0.03, 0.15)  # of o [m] and H, from a key frame on
 _NEAREST = 0.05  # that a point is before the camera [m]
@@ -51,8 +53,9 @@ class AdaptiveCamera(Estimator):
     """x̂ = π(R̂(r(q; û) − p̂); f̂), learnt from the images of points while the arm moves.
 
     It learns the position of the points on the tool, the camera's pose and focal length, and, on
-    request, the joint origins. A camera in the world watches points of the robot; a camera on the
-    robot watches points of the world. Depth is not measured but inferred from how images move.
+    request, joint origins, axes and encoders. A camera in the world watches points of the robot; a
+    camera on the robot watches points of the world. Depth is not measured but inferred from how
+    images move.
 
     The law controls the distance of each point from the ray of its target, at its predicted depth
     Ẑ: z = (f₀/Z₀) Ẑ(ρ̂ − ρ_d), with ρ the ray (X/Z, Y/Z), the believed focal length f₀ and a usual
@@ -66,11 +69,12 @@ class AdaptiveCamera(Estimator):
         task: An `ImageTask` of the believed robot with the believed `PinholeCamera`, whose center
             and distortion are taken as true. For a tag use three corners, `points[:3]`.
         unknown: Parameters that may be wrong: "tool" or, for points of the world, "points" (one
-            translation of all points); "origins" of the joints; "camera", its position and
-            rotation; "focal_length". By default all but the origins.
-        sd: Plausible errors: "tool", "points", "origins" and "position" of the camera [m], its
-            "rotation" [rad], and the logarithm of "focal_length"; by default 0.2, 0.2, 0.02, 0.5,
-            1.0 and 0.3.
+            translation of all points); "origins" of the joints; "axes", tilts of joint axes and
+            offsets of encoders; "camera", its position and rotation; "focal_length". By default
+            all but origins and axes.
+        sd: Plausible errors: "tool", "points", "origins" and "position" of the camera [m], "axes",
+            "encoders" and the camera's "rotation" [rad], and the logarithm of "focal_length"; by
+            default 0.2, 0.2, 0.02, 0.5, 0.003, 0.015, 1.0 and 0.3.
         noise: Standard deviation of x [px].
         delay: As for `AdaptiveKinematics`.
         dt: As for `AdaptiveKinematics`.
@@ -103,20 +107,23 @@ class AdaptiveCamera(Estimator):
         self._camera: PinholeCamera = task.camera  # type: ignore[assignment]
         camera = self._camera
         where = "tool" if camera.mount is None else "points"
-        valid = (where, "origins", "camera", "focal_length")
-        usual = (where, *valid[2:])
+        valid = (where, "origins", "axes", "camera", "focal_length")
+        usual = (where, *valid[3:])
         self.unknown = kinds = chosen_kinds(usual if unknown is None else unknown, valid)
         moves, zooms = "camera" in kinds, "focal_length" in kinds
         used = {*kinds, *(("position", "rotation") if moves else ())}
+        used |= {"encoders"} if "axes" in kinds else set()
         sds = chosen_deviations(sd, _USUAL_SD, used)
         self.task, self.noise = task, as_number("noise", noise, unit="px", above=0.0)
         # r(q) = o(q) + H(q)u in the mount's axes. Of a camera in the world u moves the tool; of
         # one on the robot it moves the world's points, and the mount is its origin and axes' ends.
         mount, self._world, self._k = camera.mount, task.points, len(task.points)
         frame, ends = (task.frame, task.points) if mount is None else (mount, np.eye(4, 3, -1))
-        self.regressor = KinematicRegressor(task.robot, frame, ends)
-        self._moved = moved = Unknowns(self.regressor, kinds, sds)
-        units, u, sd_u = dict(zip(moved.names, moved.units, strict=True)), moved.u, moved.sd
+        self.regressor = KinematicRegressor(task.robot, frame, ends, "axes" in kinds)
+        self._moved = unknowns = Unknowns(self.regressor, kinds, sds)
+        units, u, sd_u = (
+            dict(zip(unknowns.names, unknowns.units, strict=True)), unknowns.u, unknowns.sd,
+        )  # fmt: skip
         self._n, self._moves_world = len(u), "points" in kinds
         if self._moves_world:
             units |= {f"points.{axis}": "m" for axis in "xyz"}
@@ -129,7 +136,10 @@ class AdaptiveCamera(Estimator):
         # pixels as rays: center, distortion and focal length those that are believed
         self._f, self._center = np.asarray(camera.focal_length), np.asarray(camera.center)
         self._lens = None if camera._lens.is_straight else camera._lens
-        self._estimator = _KeyFrames(self._first, all_sd, self.noise / self._f, self._k)
+        self._estimator = _KeyFrames(
+            self._first, all_sd, self.noise / self._f, self._k,
+            *((task.robot.nq, self._watched_about) if "axes" in kinds else ()),
+        )  # fmt: skip
         self._is_learnt = all_sd > 0.0
         self._sd = np.append(all_sd[:-1], all_sd[-1] * self._f[0])[self._is_learnt]
         self._believed = self._in_order(self._first)
@@ -188,17 +198,27 @@ class AdaptiveCamera(Estimator):
         assert self._lens is not None
         return np.array(self._lens.slopes(*ray.tolist())).reshape(2, 2)
 
-    def _watched(self, q: Array) -> tuple[Array, Array]:
-        """Return H(q), shape (k, 3, n_u), and o(q), shape (k, 3)."""
-        H, known = self._moved.at(q)
+    def _watched(self, q: Array, u: Array | None = None) -> tuple[Array, Array]:
+        """Return H(q) = ∂r/∂u, shape (k, 3, n_u), and o(q) = r − Hu, shape (k, 3), at u."""
+        n, u = self._n, self._u if u is None else u
+        H, known = self._moved.at(q, u[:n])
         known = known.reshape(-1, 3)
+        H = H.reshape(len(known), 3, n)
         if self._camera.mount is None:
-            return H.reshape(self._k, 3, self._n), known
-        A = known[1:] - known[0]  # rows are the mount's axes
-        H = -A.dot(H[:3])
+            return H, known
+        p = known + H.dot(u[:n])
+        A, w = p[1:] - p[0], self._world - p[0]  # rows of A are the mount's axes
         if self._moves_world:
-            H = np.concatenate([H, A], axis=1)
-        return np.broadcast_to(H, (self._k, *H.shape)), (self._world - known[0]).dot(A.T)
+            w = w + u[n:]
+        H = np.einsum("kj,ajn->kan", w, H[1:] - H[0]) - A.dot(H[0])
+        if self._moves_world:
+            H = np.concatenate([H, np.broadcast_to(A, (self._k, 3, 3))], axis=2)
+        return H, w.dot(A.T) - H.dot(u)
+
+    def _watched_about(self, q: Array, u: Array) -> tuple[Array, Array]:
+        """Return the same at a mean q, of which continuous joints are not of length one."""
+        robot = self.task.robot
+        return self._watched(moved(robot, q, np.zeros(robot.nv)), u)
 
     def _watched_motion(self, q: Array, v: Array, u: Array, u_dot: Array) -> PointMotion:
         """Return r (k, 3), ∂r/∂q (k, 3, n_v), its rate, and what u' moves r by (k, 3)."""
@@ -210,7 +230,8 @@ class AdaptiveCamera(Estimator):
             return PointMotion(p, J, J_dot, drift)
         # r = A(P − o) with rows a of A: each entry is a product a·w
         A, a_J, a_J_dot = p[1:] - p[0], J[1:] - J[0], J_dot[1:] - J_dot[0]
-        a_dot = a_J.dot(v)
+        turned = drift[1:] - drift[0]
+        a_dot = a_J.dot(v) + turned
         w, w_dot = self._world - p[0], -J[0].dot(v) - drift[0]
         moved = -drift[0]
         if self._moves_world:
@@ -221,7 +242,7 @@ class AdaptiveCamera(Estimator):
             w.dot(A.T),
             each - A.dot(J[0]),
             each_dot - a_dot.dot(J[0]) - A.dot(J_dot[0]),
-            np.tile(A.dot(moved), (self._k, 1)),
+            A.dot(moved) + w.dot(turned.T),
         )
 
     def _begin(self, state: Array) -> None:
@@ -235,7 +256,7 @@ class AdaptiveCamera(Estimator):
         y = self._rays(frame.x)
         if np.isfinite(y).all(axis=1).any():
             keys = state[self._at["keys"]]
-            learnt = self._estimator.learn(keys, *self._watched(frame.q), y)
+            learnt = self._estimator.learn(keys, *self._watched(frame.q), y, frame.q)
             keys[:] = self._estimator.about(self._estimator.estimate(learnt))
             keys[-2] = 1e-12  # the camera was placed
         self._follow(state)
@@ -263,12 +284,12 @@ class AdaptiveCamera(Estimator):
         seen = np.isfinite(y).all(axis=1)
         if not seen.any():
             return
-        H, o = self._watched(frame.q)
         keys, explained, noted = state[at["keys"]], state[at["explained"]], state[at["noted"]]
         unlike = np.abs(state[at["averaged"]] * self._pixels).max() > _CHANGED * self.noise
         if self._restarts and (is_anew or (unlike and explained[0])):  # what was learnt is false
             self._renew(state)
-        state[at["keys"]] = keys = estimator.learn(keys, H, o, y)
+        H, o = self._watched(frame.q, _parts(estimator.estimate(keys))[0])
+        state[at["keys"]] = keys = estimator.learn(keys, H, o, y, frame.q)
         estimate = estimator.estimate(keys)
         u, R, p, stretch = _parts(estimate)
         state[at["learnt"]] = self._in_order(estimate)
@@ -291,7 +312,7 @@ class AdaptiveCamera(Estimator):
         at = self._at
         u, R, p, stretch = _parts(self._estimator.estimate(state[at["keys"]]))
         smooth_u, smooth_R, smooth_stretch = self._smooth(state)
-        H, o = self._watched(q)
+        H, o = self._watched(q, smooth_u)
         r, smooth_r = o + H.dot(u), o + H.dot(smooth_u)
         c, smooth_c = (r - p).dot(R.T), smooth_r.dot(smooth_R.T) + state[at["t"]]
         # how far apart the two are beside the rays, at the depth of the points
@@ -392,6 +413,7 @@ def _parts(estimate: Array) -> tuple[Array, Array, Array, float]:
 
 
 _Terms = tuple[Array, Array, Array, Array]
+_NO_Q = np.zeros(0)
 
 
 class _KeyFrames:
@@ -402,21 +424,28 @@ class _KeyFrames:
     explain what is seen, a camera elsewhere about the points, with the best turn of the image from
     there, is tried beside it for some frames, and taken if it is better beyond doubt.
 
-    An estimate has the translations u, the rotation R of the mount's axes in the camera's, the
-    camera's position p in its mount's axes, and λ. The numbers in the state: key frames (for each
-    point its count, y, o and H); the estimate; the one that is tried beside it; for how many frames
-    (0: none is tried); how many were tried before; χ² (0 before the first frame); and the index of
+    With axes o and H depend on u: then key frames have their mean q, at which `watched(q, u)`
+    returns both, and a few of them are linearised anew with each frame.
+
+    An estimate has the numbers u of arm and points, the rotation R of the mount's axes in the
+    camera's, the camera's position p in its mount's axes, and λ. The numbers in the state: key
+    frames (for each point its count, y, o, H and, with axes, q); the estimate; the one that is
+    tried beside it; which key frame is linearised next; for how many frames another estimate was
+    tried (0: none is); how many were before; χ² (0 before the first frame); and the index of
     the last key frame. sd are of u, p, the rotation and λ, 0 if known; the noise (2,) is of y.
     """
 
-    def __init__(self, believed: Array, sd: Array, noise: Array, k: int) -> None:
+    def __init__(
+        self, believed: Array, sd: Array, noise: Array, k: int, nq: int = 0, watched: Any = None
+    ) -> None:
         self._first, self._k, self._e, self._n = believed, k, len(believed), len(believed) - 13
         self._free, self._size = np.flatnonzero(sd > 0.0), len(sd)
         self._prior = np.where(sd > 0.0, sd, np.inf) ** -2.0
         self._weight = noise**-2.0
-        self._shape = _KEYS, k, 6 + 3 * self._n
+        self._nq, self._watched = nq, watched
+        self._shape = _KEYS[nq > 0], k, 6 + 3 * self._n + nq
         self._m = math.prod(self._shape)
-        self.size = self._m + 2 * self._e + 4
+        self.size = self._m + 2 * self._e + 5
         everywhere = law.rotations_everywhere(3)  # of which those with the same view are one
         _, first = np.unique(np.round(everywhere[:, 2], 6), axis=0, return_index=True)
         self._views = everywhere[first]
@@ -431,12 +460,13 @@ class _KeyFrames:
         """Return the estimate."""
         return numbers[self._m : self._m + self._e].copy()
 
-    def learn(self, numbers: Array, H: Array, o: Array, y: Array) -> Array:
+    def learn(self, numbers: Array, H: Array, o: Array, y: Array, q: Array = _NO_Q) -> Array:
         """Return the numbers after a frame of H (k, 3, n_u), o (k, 3) and y (k, 2), NaN if lost."""
         numbers = numbers.copy()
-        self._remember(numbers, H, o, y)
+        self._remember(numbers, H, o, y, q)
+        self._linearize(numbers)
         terms = self._terms(numbers)
-        best, other = numbers[self._m : -4].reshape(2, -1)
+        best, other = numbers[self._m : self._m + 2 * self._e].reshape(2, -1)
         noted = numbers[-4:]
         tried, rank, is_first = noted[0], noted[1], noted[2] == 0.0
         if is_first or not math.isfinite(self._misfit(best, terms)):
@@ -463,30 +493,44 @@ class _KeyFrames:
         covariance[free] = np.linalg.inv(A[free])
         return covariance
 
-    def _remember(self, numbers: Array, H: Array, o: Array, y: Array) -> None:
+    def _remember(self, numbers: Array, H: Array, o: Array, y: Array, q: Array) -> None:
         """Add a frame to the last key frame, or begin another one, in place."""
-        keys, last = numbers[: self._m].reshape(self._shape), int(numbers[-1]) % _KEYS
-        key, H = keys[last], H.reshape(self._k, -1)
-        has = key[:, 0] > 0.0
+        keys, last = numbers[: self._m].reshape(self._shape), int(numbers[-1]) % self._shape[0]
+        H = H.reshape(self._k, -1)
+        key, has = keys[last], keys[last, :, 0] > 0.0
         if has.any():
             away = np.abs(key[has, 3:6] - o[has]).max() / _NEW[0]
-            away += np.linalg.norm(key[has, 6:] - H[has]) / _NEW[1]
+            away += np.linalg.norm(key[has, 6 : 6 + H.shape[1]] - H[has]) / _NEW[1]
             if away > 1.0:
-                numbers[-1] = last = (last + 1) % _KEYS
+                numbers[-1] = last = (last + 1) % self._shape[0]
                 key = keys[last]
                 key[:] = 0.0
         seen = np.isfinite(y).all(axis=1)
         count = np.minimum(key[:, 0] + seen, _MOST)
         share = np.where(seen, 1.0 / np.maximum(count, 1.0), 0.0)[:, np.newaxis]
-        key[:, 1:] += share * (np.concatenate([np.nan_to_num(y), o, H], axis=1) - key[:, 1:])
+        at = np.tile(q[: self._nq], (self._k, 1))
+        key[:, 1:] += share * (np.concatenate([np.nan_to_num(y), o, H, at], axis=1) - key[:, 1:])
         key[:, 0] = count
+
+    def _linearize(self, numbers: Array) -> None:
+        """Write H and o of the next few key frames, which were about an earlier u, about u."""
+        keys, nq = numbers[: self._m].reshape(self._shape), self._nq
+        u, n = numbers[self._m : self._m + self._n], int(keys[:, :, 0].any(axis=1).sum())
+        for i in (int(numbers[-5]) + np.arange(min(_ANEW, n))) % n if nq else ():
+            for q in {tuple(row) for row in keys[i, :, -nq:].tolist()}:  # of each point
+                which = (keys[i, :, -nq:] == q).all(axis=1)
+                H, o = self._watched(np.array(q), u)
+                new = np.concatenate([o, H.reshape(self._k, -1)], axis=1)
+                keys[i, which, 3:-nq] = new[which]
+            numbers[-5] = i + 1
 
     def _terms(self, numbers: Array) -> _Terms:
         """Return weights (N, 2), y (N, 2), o (N, 3) and H (N, 3, n_u) of what is remembered."""
         rows = numbers[: self._m].reshape(-1, self._shape[2])
         rows = rows[rows[:, 0] > 0.0]
         weights = rows[:, :1] * self._weight
-        return weights, rows[:, 1:3], rows[:, 3:6], rows[:, 6:].reshape(len(rows), 3, self._n)
+        H = rows[:, 6 : 6 + 3 * self._n].reshape(len(rows), 3, self._n)
+        return weights, rows[:, 1:3], rows[:, 3:6], H
 
     def _chi_squared(self, estimate: Array, terms: _Terms) -> float:
         rows = 2.0 * len(terms[0])

@@ -1,11 +1,12 @@
-"""Tests 1 and 2 over a region, in continuous time and sampled: functions and worst cases."""
+"""Lyapunov functions over a region, sampled or in continuous time, and Theorem 1."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from approxjac import law
 from approxjac.controllers.gains.gains import Latency
 from approxjac.law import Saturation
 from approxjac.stability.certificates.matrix_form import (
-    FAMILIES,
     Best,
     Family,
     Hold,
@@ -22,36 +22,34 @@ from approxjac.stability.certificates.matrix_form import (
     Setting,
     Weights,
     best_weights,
-    on_more,
 )
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import clopper_pearson
 from approxjac.validation import Array
 
-_REFINED = 6  # closer looks at the worst sample, each from the worst of the last
-_NEAR = 40  # samples of a closer look
-_CLOSER = 0.15  # of the region's spread
-_NOTABLE = 1e-3  # margin
-_SAME = 1e-9  # relative, of constants
-_MISSED = 0.05 / (1 + len(FAMILIES))  # the families and the sampled loop share the 5 %
-_SLOWER, _SLOWEST = (0.5, 0.25), 0.06  # times the speed that all starts need, that are tried
+RESERVE = 0.02  # margin that a search may have missed
+_SLOWEST = 0.06  # times the speed that all starts need, that is tried if that is too fast
 _SPARE = 1.4  # c is at most so many times what starts need: σ² is known afterwards only
 _WORST = 120  # samples that largest periods and delays are sought with
 _HALVINGS = 7
 _FARTHEST = 1e6  # error that is looked at
 _TIMES = 90  # that an interval of it is halved
 _LONGEST = 64.0  # times the period of the loop
+_BELOW = 0.999  # (14) is strict
+_KILOHERTZ = Latency()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MatrixTest:
-    """Verdict of the matrix form over a region with one family of Lyapunov functions.
+    """Verdict of the matrix form over a region with one Lyapunov function.
 
     Attributes:
-        family: The family of functions.
-        weights: Weights of the function with the largest margin.
-        margins: Its margin in each sample that it was chosen on, shape (N,).
+        family: The family of functions that it is of.
+        weights: Weights of the function.
+        margins: Its margin in each sample that it was chosen on, the worst that a search found
+            among them, shape (N,).
+        form: The form at these samples.
         checked: Number of further, independent samples that it was checked on.
         violations: Number of these in which its margin is not positive.
     """
@@ -59,8 +57,10 @@ class MatrixTest:
     family: Family
     weights: Weights
     margins: Array
-    checked: int
-    violations: int
+    form: MatrixForm
+    best: Best | None = None  # what it was chosen by
+    checked: int = 0
+    violations: int = 0
 
     def __repr__(self) -> str:
         verdict = "certified" if self.certified else "not certified"
@@ -83,33 +83,42 @@ class MatrixTest:
 
     @property
     def certified(self) -> bool:
-        """True if the function passed in every sample it was chosen or checked on."""
-        return self.margin > 0.0 and self.violations == 0
+        """True if the function passed in every sample, the worst found with `RESERVE` to spare."""
+        return self.margin >= RESERVE and self.violations == 0
 
     @property
     def violating_at_most(self) -> float:
         """Share of the combinations drawn (configuration, target, true robot) that may violate.
 
-        An exact upper bound, at 95 % confidence for all families together.
+        An exact upper bound, at 95 % confidence.
         """
         # of a two-sided interval the upper end is missed half as often
-        return clopper_pearson(self.violations, self.checked, 1.0 - 2.0 * _MISSED)[1]
+        return clopper_pearson(self.violations, self.checked, 0.9)[1]
+
+    def checked_on(self, samples: Samples) -> Self:
+        """Return this test, checked on further samples."""
+        violations = self.form.elsewhere(samples).violations(self.weights)
+        return replace(self, checked=len(samples), violations=violations)
+
+    def with_samples(self, samples: Samples) -> Self:
+        """Return this test with more samples beside those that it was chosen on."""
+        form = self.form.including(samples)
+        return replace(self, form=form, margins=form.margins(self.weights))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledTest(MatrixTest):
     """Verdict of the matrix form of the sampled, late loop over a region."""
 
-    latency: Latency  # latency of the loop
-    level: float  # c [J]: motions that begin with V ≤ c stay below v̄
-    form: SampledForm  # the form at all samples; those that the function was chosen on come first
+    form: SampledForm
+    latency: Latency = _KILOHERTZ  # latency of the loop
+    is_slow: bool = False  # of slower motions than starts at all samples need
+    most: float = math.inf  # bound of `level`
 
-    @property
-    def reason(self) -> str:
-        """Reason why it is not certified: "violated" or "too slow"; "" if it is."""
-        if self.certified:
-            return ""
-        return "violated" if self.margin > 0.0 else "too slow"
+    @cached_property
+    def level(self) -> float:
+        """c: motions that begin with V ≤ c stay below v̄ [J]."""
+        return max(0.0, min(self.most, self.form.level(self.weights)))
 
     @property
     def speed(self) -> float:
@@ -123,7 +132,7 @@ class SampledTest(MatrixTest):
 
     def below(self, level: float) -> SampledTest:
         """Return this test for motions with V(0) ≤ level [J], if that is less than its own."""
-        return replace(self, level=min(level, self.level))
+        return replace(self, most=min(level, self.most))
 
     def largest_period(self) -> float:
         """Return the largest period that this function certifies, all else the same [s]."""
@@ -212,9 +221,6 @@ class Theorem1:
         return self.margin > 0.0
 
 
-_BELOW = 0.999  # (14) is strict
-
-
 def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
     """Return each constant for each sample alone, shape (N,), by name."""
     J, J_hat, kv, B = samples.J, samples.J_hat, setting.kv, setting.B
@@ -240,83 +246,32 @@ def constants(samples: Samples, setting: Setting) -> dict[str, Array]:
     }
 
 
-def badness(name: str, values: Array) -> Array:
-    """Return values that are large where a constant is unfavourable."""
-    return -values if name in ("lambda_1", "lambda_2") else values
-
-
 def theorem1(samples: Samples, setting: Setting) -> Theorem1:
     """Evaluate the constants of Theorem 1 over all samples."""
     each = constants(samples, setting)
-    worst = {name: int(np.argmax(badness(name, values))) for name, values in each.items()}
+    least = {
+        name: -values if name in ("lambda_1", "lambda_2") else values
+        for name, values in each.items()
+    }
+    worst = {name: int(values.argmax()) for name, values in least.items()}
     return Theorem1(
         **{name: float(each[name][k]) for name, k in worst.items()}, setting=setting, worst=worst
     )
 
 
-def refine_constants(loop: ClosedLoop, samples: Samples, rng: np.random.Generator) -> Samples:
-    """Add samples near the worst of each constant of Theorem 1."""
-    values = constants(samples, loop.setting)
-    more: list[Samples] = []
-    for name in list(values):
-        for _ in range(_REFINED):
-            bad = badness(name, values[name])
-            k = _first_largest(bad)
-            known, k = (samples, k) if k < len(samples) else (more[k - len(samples)], 0)
-            nearby = loop.near(known, k, _NEAR, _CLOSER, rng)
-            its_values = constants(nearby, loop.setting)
-            its_bad = badness(name, its_values[name])
-            if its_bad.max() <= bad.max() + _SAME * abs(bad.max()):
-                break
-            worst = np.array([_first_largest(its_bad)])
-            more.append(nearby.take(worst))
-            values = {key: np.append(values[key], its_values[key][worst]) for key in values}
-    return samples.join(*more)
+def best_family(form: MatrixForm, known: MatrixTest | None = None) -> tuple[Best, Family]:
+    """Return the function of the first family that is positive everywhere, or the best of all.
 
-
-def _first_largest(values: Array) -> int:
-    """Return the first of the largest values, which round-off alone may tell apart.
-
-    Such as ‖Jᵀ − Ĵᵀ‖ of a longer tool, which is the same wherever the tool can be turned to.
+    `known` is the best for the first of the samples: no smaller family is positive.
     """
-    most = float(values.max())
-    return int((values >= most - _SAME * abs(most)).argmax())
-
-
-def refine_weights(
-    loop: ClosedLoop, form: MatrixForm, family: Family, rng: np.random.Generator
-) -> tuple[MatrixForm, Best]:
-    """Choose a Lyapunov function, with more samples near its worst one."""
-    best = best_weights(form, family)
-    worst, k, least = form.samples, int(best.margins.argmin()), float(best.margins.min())
-    for _ in range(_REFINED):
-        worst = loop.near(worst, k, _NEAR, _CLOSER, rng)
-        its = MatrixForm(worst, form.setting)
-        margins = its.margins(best.weights)
-        k = int(margins.argmin())
-        if margins[k] > least - _NOTABLE:
-            break
-        least = float(margins[k])
-        form = form.join(its.take(np.array([k])))
-    return form, on_more(form, family, best)
-
-
-def smallest_family(form: MatrixForm, families: Sequence[Family]) -> tuple[Best, Family]:
-    """Return the function of the first family that is positive everywhere, or the best of all."""
     tried: list[tuple[Best, Family]] = []
-    for family in families:
-        tried.append((best_weights(form, family), family))
-        if tried[-1][0].margins.min() > 0.0:
+    families = form.setting.families
+    for family in families if known is None else families[families.index(known.family) :]:
+        before = known.best if known is not None and known.family == family else None
+        tried.append((best_weights(form, family, before), family))
+        if tried[-1][0].margins.min() >= RESERVE:
             break
     return max(tried, key=lambda each: float(each[0].margins.min()))
-
-
-def margin(test: str, samples: Samples, setting: Setting) -> float:
-    """Return the margin of "theorem1" or "matrix" on given samples."""
-    if test == "theorem1":
-        return theorem1(samples, setting).margin
-    best, _ = smallest_family(MatrixForm(samples, setting), setting.families)
-    return float(best.margins.min())
 
 
 def largest(passes: Callable[[float], bool], first: float) -> float:
@@ -332,43 +287,61 @@ def largest(passes: Callable[[float], bool], first: float) -> float:
     return low
 
 
-def sampled_test(
-    loop: ClosedLoop, known: Best, chosen: MatrixForm, fresh: MatrixForm, latency: Latency
-) -> SampledTest:
-    """Choose a function that certifies a loop of known gravity with a latency, for starts at rest.
+def continuous_test(
+    loop: ClosedLoop, samples: Samples, known: MatrixTest | None = None
+) -> MatrixTest:
+    """Choose a function for the loop in continuous time on some samples.
 
-    v̄ is large enough for starts at all samples, or less if that is not certified. `known`, and the
-    forms to choose it on and to check it on, are those of continuous time.
+    `known` is that for the first of them.
     """
-    setting, n = loop.setting, len(chosen.samples)
-    form = chosen.join(fresh)
+    form = MatrixForm(samples, loop.setting)
+    best, family = best_family(form, known)
+    return MatrixTest(family, best.weights, best.margins, form, best)
+
+
+def sampled_form(loop: ClosedLoop, samples: Samples, latency: Latency) -> SampledForm:
+    """Return the form of the sampled, late loop for starts at rest at all samples.
+
+    Their energy at rest tells how fast motions get, with typical weights.
+    """
+    setting = loop.setting
     potential = setting.kp + setting.alpha * setting.kv
-    needed = _SPARE * float((setting.saturation.S(form.samples.e) @ potential).max(initial=0.0))
+    needed = _SPARE * float((setting.saturation.S(samples.e) @ potential).max(initial=0.0))
     fastest = math.sqrt(2.0 * needed)
     most_s = fastest / math.sqrt(2.0 * setting.saturation.c_bar * float(potential.min()))
+    form = MatrixForm(samples, setting)
+    return SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s)
+
+
+def sampled_test(
+    loop: ClosedLoop, samples: Samples, latency: Latency, known: SampledTest | None = None
+) -> SampledTest:
+    """Choose a function for the sampled loop of known gravity on some samples, of starts at rest.
+
+    v̄ is large enough for starts at all samples, or less if that is not certified. `known` is the
+    function for the first of the samples.
+    """
+    whole, setting = sampled_form(loop, samples, latency), loop.setting
 
     def at_speed(form: SampledForm) -> SampledTest:
-        """Choose a function on the first samples, and check it on the others."""
-        first, weights = form.take(slice(n)), known.weights._replace(multiplier=0.5)
-        family, margins, violations = setting.families[1], np.full(n, -np.inf), len(fresh.samples)
+        family, margins, best = setting.families[0], np.full(len(samples), -np.inf), None
+        zero = np.zeros((len(setting.kp), len(setting.kp)))
+        weights = Weights(setting.alpha * np.eye(len(zero)), zero, setting.kp, 0.5)
         if form.is_possible():
-            best, family = smallest_family(first, setting.families[1:])
+            begun = known if known is not None and known.is_slow == (form is not whole) else None
+            best, family = best_family(form, begun)
             weights, margins, most_s = best.weights, best.margins, form.largest_s(best.weights)
             if most_s > form.most_s:  # of smaller weights errors may be larger
                 form = form.changed(most_s=most_s)
-                margins = form.take(slice(n)).margins(weights)
-            violations = form.take(slice(n, None)).violations(weights)
-        level, checked = max(0.0, form.level(weights)), len(fresh.samples)
-        return SampledTest(family, weights, margins, checked, violations, latency, level, form)
+                margins = form.margins(weights)
+        slow = form.speed < whole.speed
+        return SampledTest(family, weights, margins, form, best, latency=latency, is_slow=slow)
 
-    whole = SampledForm(form, loop.plants[0].friction, Hold.of(latency), fastest, most_s)
-    test = at_speed(whole)
-    if not test.certified and fastest > 0.0:  # and it may be that no speed is slow enough
-        test = at_speed(whole.with_speed(_SLOWEST * fastest))
-        slower = _SLOWER if test.certified else ()
-        tries = (at_speed(whole.with_speed(k * fastest)) for k in slower)
-        test = next((each for each in tries if each.certified), test)
-    return test
+    if known is None or not known.is_slow:
+        test = at_speed(whole)
+        if test.certified or whole.speed == 0.0:
+            return test
+    return at_speed(whole.with_speed(_SLOWEST * whole.speed))  # it may be that none is slow enough
 
 
 def largest_errors(saturation: Saturation, w: Array, level: float) -> Array:

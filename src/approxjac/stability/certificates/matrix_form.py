@@ -22,17 +22,16 @@ from approxjac.law import sampled_form
 from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 
-Family = Literal["paper", "free", "wide", "full"]
+Family = Literal["free", "full"]
 """The Lyapunov functions that are tried.
 
-"paper" is G = αĴ⁺ with w = k_p + αk_v, "free" is G = αĴ⁺ with any w, "wide" is
-G = Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂ with any m × m matrices A₁ and A₂, and any w, and "full" is "wide" with any
-coupling Ω besides. (For m > 3 A₁ and A₂ are diagonal: full ones have so many entries that finding
-them takes minutes.)
+"free" is the paper's G = αĴ⁺ with any w, "full" is G = Ĵ⁺A₁ + D⁻¹ĴᵀK_vA₂ with any m × m matrices A₁
+and A₂, any w, and any coupling Ω. (For m > 3 A₁ and A₂ are diagonal: full ones have so many entries
+that finding them takes minutes.)
 """
-FAMILIES: tuple[Family, ...] = ("paper", "free", "wide", "full")
+FAMILIES: tuple[Family, ...] = ("free", "full")
 
-_FULL = 3  # task coordinates up to which the matrices of "wide" are full
+_FULL = 3  # task coordinates up to which the matrices of "full" are full
 _BOX = 30.0  # unknowns are sought within so many times their natural size
 _ACTIVE = 60  # samples to begin with
 _MORE = 40  # and how many of the worst are added at a time
@@ -93,7 +92,7 @@ class Setting:
     @property
     def families(self) -> tuple[Family, ...]:
         """Families that apply: with learnt gravity G has to match αĴ⁺ of (29)."""
-        return FAMILIES if self.fixed_alpha is None else ("paper", "free")
+        return FAMILIES if self.fixed_alpha is None else ("free",)
 
 
 class FamilyNumbers(NamedTuple):
@@ -142,12 +141,13 @@ class MatrixForm:
         other._of_samples = _OfSamples(*(values[which] for values in self._of_samples))
         return other
 
-    def join(self, more: MatrixForm) -> Self:
-        """Return the matrices of these samples and of others after them."""
-        other, pairs = copy.copy(self), zip(self._of_samples, more._of_samples, strict=True)
-        other.samples = self.samples.join(more.samples)
-        other._of_samples = _OfSamples(*map(np.concatenate, pairs))
-        return other
+    def elsewhere(self, samples: Samples) -> MatrixForm:
+        """Return this form at other samples of the same region."""
+        return MatrixForm(samples, self.setting)
+
+    def including(self, samples: Samples) -> MatrixForm:
+        """Return this form with more samples."""
+        return MatrixForm(self.samples.join(samples), self.setting)
 
     def pencils(self, weights: Weights) -> tuple[Array, Array]:
         """Return X and Y with the margin as the largest μ for which X − μY ≥ 0.
@@ -179,19 +179,14 @@ class MatrixForm:
         alpha, kp, kv = setting.alpha, setting.kp, setting.kv
         potentials = [Weights(zero, zero, row) for row in np.diag(kp + alpha * kv)]
         fixed, start = Weights(zero, zero, none), [1.0]
-        cross = [Weights(alpha * one, zero, none)]
-        if family == "paper":
-            fixed = Weights(zero, zero, kp)
-            cross, potentials = [Weights(alpha * one, zero, alpha * kv)], []
-        elif family != "free":  # any A₁ and A₂, from αĴ⁺ on
+        cross, couplings = [Weights(alpha * one, zero, none)], []
+        if family == "full":  # any A₁ and A₂, from αĴ⁺ on
             entries = [(i, j) for i in range(m) for j in range(m) if i == j or m <= _FULL]
             units = [alpha * np.outer(one[i], one[j]) for i, j in entries]
             cross = [Weights(unit, zero, none) for unit in units]
             cross += [Weights(zero, unit, none) for unit in units]
             start = [float(i == j) for i, j in entries] + [0.0] * len(units)
-        couplings = []
-        if family == "full":  # of the size of the potentials that it couples
-            sizes = np.sqrt(kp + alpha * kv)
+            sizes = np.sqrt(kp + alpha * kv)  # of the potentials that Ω couples
             for i, j in itertools.combinations(range(m), 2):
                 pair = np.outer(one[i], one[j]) * sizes[i] * sizes[j]
                 couplings.append(Weights(zero, zero, none, coupling=pair + pair.T))
@@ -298,18 +293,6 @@ def best_weights(
             active = np.concatenate([active, others])
             y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
     return Best(unknowns.weights(y), margins, active, y, cuts)
-
-
-def on_more(form: MatrixForm, family: Family, known: Best) -> Best:
-    """Return the best of a family on more samples; it changes only if a new one is worse."""
-    before = len(known.margins)
-    if before == len(form.samples):
-        return known
-    more = form.take(slice(before, None)).margins(known.weights)
-    least = known.margins.min()
-    if more.min() < least - _PRECISION or more.min() <= 0.0 < least:
-        return best_weights(form, family, known)
-    return known._replace(margins=np.append(known.margins, more))
 
 
 def _cutting_planes(
@@ -431,6 +414,7 @@ class Hold(NamedTuple):
 class Turning(NamedTuple):
     """Largest rates of change of the samples' matrices, see `law.sampled_form`."""
 
+    fastest: float  # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
     curvature: float = 0.0  # κ
     damping: float = 0.0  # k_R
     stiffness: float = 0.0  # ē
@@ -471,10 +455,41 @@ class SampledForm(MatrixForm):
             )
         else:
             self._rate = sampled_form.damping_rate_of_torque(at.M, D, D_c, at.J_hat, kp, at.dg)
-        self.turning = self._turning(D_c) if turning is None else turning
-        # of L⁻¹UL, D = LLᵀ: the rate at which the torque's error answers itself [1/s]
-        turned = self._of_samples.root @ self._rate.U @ np.linalg.inv(self._of_samples.root)
-        self._fastest = float(np.linalg.svd(turned, compute_uv=False)[:, 0].max())
+        if turning is None:  # a portion after the other, as caches are small
+            parts = [slice(k, k + _PORTION) for k in range(0, len(D), _PORTION)]
+            turning = Turning(**{
+                name: max(float(self.take(rows).constant(name).max()) for rows in parts)
+                for name in self.constants
+            })  # fmt: skip
+        self.turning = turning
+
+    @property
+    def constants(self) -> list[str]:
+        """Names of the constants of `Turning` that the loop uses."""
+        frames, names = self.hold.frames is not None, ["fastest"]
+        names += ["curvature", "damping"] if self.speed else []
+        names += ["stiffness"] if self.speed and frames else []
+        names += ["gravity"] if self.hold.lag else []
+        return [*names, "filtered"] if self.speed and self.hold.lag else names
+
+    def constant(self, name: str) -> Array:
+        """Return the value of a constant of `Turning`, or "energy" at rest, in each sample (N,)."""
+        at, (D, root, *_), setting = self.samples, self._of_samples, self.setting
+        kp, kv = setting.kp, setting.kv
+        if name == "energy":
+            return np.asarray(setting.saturation.S(at.e) @ (kp + setting.alpha * kv))
+        if name == "fastest":
+            turned = root @ self._rate.U @ np.linalg.inv(root)
+            return np.asarray(np.linalg.svd(turned, compute_uv=False)[:, 0])
+        if name == "gravity":
+            return np.asarray(np.linalg.norm(root @ at.dg @ root.mT, 2, axis=(-2, -1)))
+        if name == "stiffness":
+            return sampled_form.stiffness_turn(D, at.dJ_hat, kp)
+        if name == "curvature":
+            D_c = D - np.diag(self._friction)
+            return sampled_form.torque_curvature(at.M, at.dM, D, D_c, at.J_hat, at.dJ_hat, kv)
+        is_filtered = name == "filtered"
+        return sampled_form.damping_turn(at.M, D, at.J_hat, at.dJ_hat, kv, is_filtered)
 
     @property
     def _growth(self) -> float:
@@ -505,6 +520,10 @@ class SampledForm(MatrixForm):
         form, friction = MatrixForm(samples, self.setting), self._friction
         return SampledForm(form, friction, self.hold, self.speed, self.most_s, self.turning)
 
+    def including(self, samples: Samples) -> SampledForm:
+        form, friction = super().including(samples), self._friction
+        return SampledForm(form, friction, self.hold, self.speed, self.most_s)
+
     def changed(self, **values: Any) -> Self:
         """Return this with another `hold`, `speed`, `most_s` or `decay`."""
         other = copy.copy(self)
@@ -516,28 +535,6 @@ class SampledForm(MatrixForm):
         """Return this with another v̄ > 0, and s̄ in proportion."""
         return self.changed(speed=speed, most_s=self.most_s * speed / self.speed)
 
-    def _turning(self, D_c: Array) -> Turning:
-        """The largest of all samples, a portion after the other, as caches are small."""
-        turning, of, (kp, kv) = Turning(), self._of_samples, (self.setting.kp, self.setting.kv)
-        for k in range(0, len(D_c), _PORTION):
-            rows = slice(k, k + _PORTION)
-            at, D, root, each = self.samples.take(rows), of.D[rows], of.root[rows], {}
-            if self.hold.lag:
-                each["gravity"] = np.linalg.norm(root @ at.dg @ root.mT, 2, axis=(-2, -1))
-            if self.speed:
-                turned = at.M, D, at.J_hat, at.dJ_hat, kv
-                each["damping"] = sampled_form.damping_turn(*turned)
-                each["curvature"] = sampled_form.torque_curvature(
-                    at.M, at.dM, D, D_c[rows], at.J_hat, at.dJ_hat, kv
-                )
-                if self.hold.lag:
-                    each["filtered"] = sampled_form.damping_turn(*turned, along=True)
-                if self.hold.frames is not None:
-                    each["stiffness"] = sampled_form.stiffness_turn(D, at.dJ_hat, kp)
-            most = {name: float(values.max()) for name, values in each.items()}
-            turning = Turning(*map(max, turning, Turning(**most)))
-        return turning
-
     def take(self, which: Indices | slice) -> Self:
         other = super().take(which)
         parts = (None if each is None else each[which] for each in self._rate)
@@ -546,11 +543,11 @@ class SampledForm(MatrixForm):
 
     def is_possible(self) -> bool:
         """True if some multiplier may exist: the hold is not too long for this form."""
-        return self._gain * (1.0 + self._b) * self._fastest**2 < 1.0
+        return self._gain * (1.0 + self._b) * self.turning.fastest**2 < 1.0
 
     @property
     def _size(self) -> float:
-        return _HALF / min(1.0, math.sqrt(self._gain) * self._fastest)
+        return _HALF / min(1.0, math.sqrt(self._gain) * self.turning.fastest)
 
     @property
     def _sizes(self) -> Array:

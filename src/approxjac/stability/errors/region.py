@@ -42,6 +42,11 @@ class Region(ABC):
             InvalidInputError: The region is empty, as far as drawing can tell.
         """
 
+    @property
+    def box(self) -> JointBox:
+        """A box of joints that holds the region."""
+        return JointBox(self.robot)
+
     @abstractmethod
     def contains(self, q: Array) -> bool:
         """Return True if a configuration (nq,) belongs to the region; lanes trace it."""
@@ -118,6 +123,10 @@ class JointBox(Region):
         robot.require_radians("q", robot.configuration(q))
         return cls(robot, -radius, radius, q)
 
+    @property
+    def box(self) -> JointBox:
+        return self
+
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         # as rng.uniform, which takes its time
         motions = self.lower + self.spread * rng.random((n, self.robot.nv))
@@ -162,6 +171,10 @@ class RegularPart(Region):
         self.robot, self.spread = region.robot, region.spread
         self.region, self.task = region, task
         self.sigma_min = as_number("sigma_min", sigma_min, minimum=0.0)
+
+    @property
+    def box(self) -> JointBox:
+        return self.region.box
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         drawn: list[Array] = []

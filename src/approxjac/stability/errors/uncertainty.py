@@ -36,6 +36,8 @@ _PIECE = 0.25 * math.pi  # longest range of an angle that its two ends stand for
 _LEAST_FOCAL = 0.1  # of the believed one
 _TURN = 2.0 * math.pi * (1.0 + 1e-9)
 _OPTICS = "camera focal_length", "camera distance", "camera roll"  # some make no camera
+_HELD = ("length", "mass")  # of an object
+_AXES = {" x", " y", " z"}
 _LOOKS = 16  # configurations at which effects of learnt numbers are compared
 _STEP = 1e-5  # of a difference, either way [m or rad]
 _SMALL = 1e-6  # difference of numbers of the same arm [m or rad], or share that is nothing
@@ -375,6 +377,28 @@ class Uncertainty:
         drawn[self.d - n :] = self.factor * self._root.dot(rng.standard_normal(n))
         return drawn
 
+    def at(self, units: Array) -> Array:
+        """Return the values (N, d) of coordinates (N, d) that go from −1 to 1 over the set.
+
+        Those of learnt numbers beyond the unit ball are of the nearest point on the ellipsoid.
+        """
+        low, high, n = self.low, self.high, len(self._root)
+        values = 0.5 * (low + high) + 0.5 * (high - low) * units
+        if n:
+            ball = units[:, -n:]
+            ball = ball / np.maximum(1.0, np.linalg.norm(ball, axis=1, keepdims=True))
+            values[:, -n:] = self.factor * self._radius * ball @ self._root.T
+        return np.asarray(values)
+
+    def units_of(self, values: Array) -> Array:
+        """Return coordinates (N, d) of which `at` makes values (N, d) of the set."""
+        low, high, n = self.low, self.high, len(self._root)
+        units = (values - 0.5 * (low + high)) / np.where(high > low, 0.5 * (high - low), 1.0)
+        if n:
+            size = max(self.factor * self._radius, _SMALL)
+            units[:, -n:] = np.linalg.solve(self._root, values[:, -n:].T).T / size
+        return np.asarray(units)
+
     # -- the robots ---------------------------------------------------------------------
 
     @property
@@ -398,14 +422,27 @@ class Uncertainty:
         own = (known for known in self._coordinates if not known.name.startswith("camera "))
         if all(at[known.name] == known.believed for known in own):
             return self.belief()
-        held = (at.get(f"object_{n}", getattr(self, f"believed_{n}")) for n in ("length", "mass"))
+        held, *errors = self._differences(values)
+        return self._perturbation.robot(*held, *errors)
+
+    def differences(
+        self, values: Sequence[float] | Array
+    ) -> tuple[tuple[float, float], dict[str, Array], dict[str, Array]]:
+        """Return (length, mass) of the object; shifts and rotations of joints, each (3,)."""
+        held, *errors = self._differences(self._checked(values))
+        shifts, rotations = (dict(zip(self._joints, each, strict=True)) for each in errors)
+        return held, shifts, rotations
+
+    def _differences(self, values: Array) -> tuple[tuple[float, float], Array, Array]:
+        at = dict(zip(self.names, values.tolist(), strict=True))
+        length, mass = (at.get(f"object_{n}", getattr(self, f"believed_{n}")) for n in _HELD)
         parts = itertools.product(("shift", "rotation"), self._joints, "xyz")
         places = [at.get(f"{joint} {kind} {axis}", 0.0) for kind, joint, axis in parts]
         errors = np.array(places).reshape(2, -1, 3)
         for each, learnt in zip(errors, self._errors(values), strict=False):
             for joint, error in learnt.items():
                 each[self._joints.index(joint)] = error
-        return self._perturbation.robot(*held, *errors)
+        return (length, mass), errors[0], errors[1]
 
     def plant(self, values: Sequence[float] | Array) -> Plant:
         """Return the true robot at values (d,), with its sensor and friction, in the box or not.
@@ -451,11 +488,18 @@ class Uncertainty:
 
     def describe_box(self) -> str:
         """Describe the ranges, such as "object length 0 to 0.3 m"."""
-        shown = []
+        axes: dict[tuple[str, str, str], list[str]] = {}
         for name, unit, _, low, high in self._coordinates[: self.d - len(self._root)]:
             ends = (0.0 if abs(end) < _NONE * (high - low) else end for end in (low, high))
             least, most = (_described("", end, unit).strip() for end in ends)
-            shown.append(f"{label_of(name)} {least.removesuffix(f' {unit}')} to {most}")
+            first, _, axis = name.rpartition(" ") if name[-2:] in _AXES else (name, "", "")
+            joint, _, error = first.rpartition(" ") if axis else (first, "", "")
+            size = f"{least.removesuffix(f' {unit}')} to {most}"
+            axes.setdefault((label_of(joint), error, size), []).append(axis)
+        alike: dict[tuple[str, str, str], list[str]] = {}  # joints, written once
+        for (joint, error, size), of in axes.items():
+            alike.setdefault((error, ", ".join(of), size), []).append(joint)
+        shown = [" ".join(filter(None, (", ".join(of), *each))) for each, of in alike.items()]
         if (n := len(self._root)) > 0:
             shown.append(f"{n} learnt numbers up to {self.factor * self._radius:.3g} sd off")
         return ", ".join(shown) or "no error"

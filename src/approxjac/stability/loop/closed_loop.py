@@ -8,12 +8,14 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from approxjac.controllers import Controller, Gains, Latency
 from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
 from approxjac.robots import Dynamics, Robot
+from approxjac.robots.traced import moved
 from approxjac.simulation import Plant
 from approxjac.stability.certificates.matrix_form import Setting
 from approxjac.stability.errors.region import JointBox, Region, RegularPart, require_law
@@ -40,7 +42,13 @@ from approxjac.stability.loop.samples import (
     traced_terms,
 )
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_jacobian_of_q, sees, vanishing
+from approxjac.tasks.analysis import (
+    features,
+    image_feature,
+    require_jacobian_of_q,
+    sees,
+    vanishing,
+)
 from approxjac.validation import Array, require
 
 EXACT_GRAVITY = 1e-5  # gravity torque that counts as none [N m or N]
@@ -51,6 +59,8 @@ _WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the 
 _DECADES = 6.0  # of the sizes of small errors
 _VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
 _MOST_TARGETS = 1000
+_PROJECTED, _ATTAINED = 12, 1e-9  # steps to a target, and what counts as there [rad or m]
+_LONGEST = 0.3  # step [rad or m]
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
 
 
@@ -170,7 +180,9 @@ class ClosedLoop:
         q = least_regular(self.controller.task, self.parts, samples)
         return q if self.controller.pinv.is_damped(self.controller.task.jacobian(q)) else None
 
-    def draw(self, n: int, rng: np.random.Generator, inside: int = 0) -> Samples:
+    def draw(
+        self, n: int, rng: np.random.Generator, inside: int = 0, uniform: bool = False
+    ) -> Samples:
         """Draw n samples, or more so that every corner has as many.
 
         With `inside` ≥ 1, about half of them are of new true robots from inside the error box, each
@@ -178,11 +190,16 @@ class ClosedLoop:
         share.
 
         A third of them have e = 0, a third small errors of all sizes, and a third errors between
-        two configurations, at which a saturated s(e) is flat.
+        two configurations, at which a saturated s(e) is flat. If `uniform`, all are of the last
+        kind, each with a robot of its own from inside: robot, configuration and target are drawn
+        uniformly and independently.
         """
-        truths, drawn = self._drawn(n, rng, inside)
+        truths, drawn = self._drawn(n, rng, 1 if uniform else inside, uniform)
         n = len(truths)
-        kinds, sizes = rng.integers(3, size=n), 10.0 ** rng.uniform(-_DECADES, 0.0, n)
+        kinds, sizes = (
+            rng.integers(2 if uniform else 0, 3, size=n),
+            10.0 ** rng.uniform(-_DECADES, 0.0, n),
+        )
         away = np.choose(kinds, [np.zeros(n), sizes, np.ones(n)])  # as a share of the way
         if self.target is None:
             others = self.seen(truths, self.region.sample(n, rng), rng)
@@ -253,13 +270,11 @@ class ClosedLoop:
             InvalidInputError: A task whose Jacobian uses the measured x, or a configuration where
                 Ĵ loses rank.
         """
-        task, saturation = self.controller.task, self.controller.saturation
-        require_jacobian_of_q(task, "the conditions over a region")
-        N = len(configurations)
-        x_d = np.repeat(np.asarray(self.target)[None], N, axis=0) if x_d is None else x_d
+        require_jacobian_of_q(self.controller.task, "the conditions over a region")
+        if x_d is None:
+            x_d = np.repeat(np.asarray(self.target)[None], len(configurations), axis=0)
         at = self.terms(truths, configurations, x_d)
-        values = np.linalg.svd(at.J_hat, compute_uv=False)
-        singular = values[:, -1] <= _SINGULAR * values[:, 0]
+        singular = _is_singular(at.J_hat)
         if singular.any():
             raise InvalidInputError(
                 "the region must hold no configuration where the estimated Jacobian loses rank, "
@@ -267,13 +282,125 @@ class ClosedLoop:
                 "sigma_min) leaves them out",
                 given=configurations,
             )
-        J_e, sensor = at.J, self.plants[0].sensor
+        return self._samples(at, truths, configurations, x_d)
+
+    def _samples(self, at: Terms, truths: Indices, configurations: Array, x_d: Array) -> Samples:
+        J_e, sensor, saturation = at.J, self.plants[0].sensor, self.controller.saturation
         if not sensor.subtracts:
             J_e = np.array([sensor.error_jacobian(*each) for each in zip(at.e, at.J, strict=True)])
         s, slope = saturation.s(at.e), saturation.ds(at.e)
         return Samples(
             **vars(at), truth=truths, q=configurations, x_d=x_d, J_e=J_e, s=s, slope=slope
         )
+
+    # -- cases of a search, see `search.worst` ----------------------------------------------------
+
+    def judged(self, values: Array, q: Array, ends: Array | None) -> tuple[Samples, Indices]:
+        """Return samples of N cases, and which of them these are.
+
+        Their true robots have values (N, d) of the uncertain numbers; the targets are those of
+        configurations (N, nq), or the one target. Without `ends` each q is a target, which for the
+        one target it is moved to. Left out are robots that cannot exist, configurations that are
+        not in the region or not seen, and those where Ĵ loses rank.
+        """
+        other, which = self._of_values(values)
+        kept = np.array([k >= 0 for k in which])
+        moved = q
+        if self.target is not None and ends is None:
+            moved, there = other._attaining_by_steps(which, q)
+            kept &= there
+        kept &= np.array([self.region.contains(each) for each in moved])
+        if self._has_camera:
+            parts = [VisiblePart(self.region, plant.sensor) for plant in other.plants]
+            for k in np.flatnonzero(kept):
+                seen = (moved[k],) if ends is None or self.target is not None else (q[k], ends[k])
+                kept[k] = all(sees(parts[which[k]].sensor, each) for each in seen)
+        rows = np.flatnonzero(kept)
+        if not len(rows):
+            return self._empty, rows
+        truths, moved = which[rows], moved[rows]
+        x_d = None
+        if self.target is None:
+            x_d = other.terms(truths, moved if ends is None else ends[rows]).x
+        at = other.terms(truths, moved, x_d)
+        good = ~_is_singular(at.J_hat) & np.isfinite(at.e).all(axis=1)
+        if x_d is None:
+            x_d = np.repeat(np.asarray(self.target)[None], len(rows), axis=0)
+        at = at.take(good)
+        return other._samples(at, truths[good], moved[good], x_d[good]), rows[good]
+
+    def keep(self, values: Array) -> Indices:
+        """Keep true robots with values (N, d), and return their indices."""
+        if not isinstance(self.truth, Uncertainty):
+            return np.zeros(len(values), dtype=int)
+        first, plants = len(self.plants), [*map(self.truth.plant, values)]
+        parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
+        self.values = np.concatenate([self.values, values])
+        self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
+        return np.arange(first, len(self.plants))
+
+    def growth(self, at: Samples, timing: Timing) -> Array:
+        """Return the largest real part of an eigenvalue near each sample as a target [1/s]."""
+        found = self._stabilities(at.q, at, timing)
+        return np.array([each.max_real_eigenvalue for each in found])
+
+    @cached_property
+    def _empty(self) -> Samples:
+        at = self.terms(np.zeros(1, dtype=int), self.region.robot.neutral()[None])
+        return self._samples(at, np.zeros(1, dtype=int), at.x, at.x).take(slice(0))
+
+    @cached_property
+    def _has_camera(self) -> bool:
+        sensor = self.plants[0].sensor
+        is_own = not features(sensor) and type(sensor).visible is not Task.visible
+        return is_own or image_feature(sensor) is not None
+
+    def _of_values(self, values: Array) -> tuple[ClosedLoop, Indices]:
+        """Return this loop with the true robots of some values; and which is whose, −1 if none."""
+        different, which = np.unique(values, axis=0, return_inverse=True)
+        other, which = copy.copy(self), which.reshape(-1)
+        other.corners, truth = different[:0], self.truth
+        if not isinstance(truth, Uncertainty):
+            return other, which
+        if self._traced is not None and not self._has_camera:  # one robot, moved, is enough
+            moving, other.plants = truth.moving(), self.plants[:1]
+            try:
+                other._numbers = self._traced.numbers(map(moving.plant, different))
+            except ValueError:  # of a robot that differs in more than others
+                self._traced = None
+            else:
+                return other, which
+        index, other.plants, other._numbers = np.full(len(different), -1), [], np.empty(0)
+        for k, each in enumerate(different):
+            try:
+                other.plants = [*other.plants, truth.plant(each)]
+            except InvalidInputError:  # a camera that cannot exist
+                continue
+            index[k] = len(other.plants) - 1
+        return other, index[which]
+
+    def _attaining_by_steps(self, truths: Indices, q: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Return configurations (N, nq) near q at which x is the target, and which of them are."""
+        robot, rows = self.region.robot, truths >= 0
+        q = q.copy()
+        for _ in range(_PROJECTED):
+            at = self.terms(truths[rows], q[rows])
+            with np.errstate(invalid="ignore"):
+                step = np.full((len(q), robot.nv), np.nan)
+                usable = np.isfinite(at.e).all(axis=1)
+                step[np.flatnonzero(rows)[usable]] = -(
+                    np.linalg.pinv(at.J[usable]) @ at.e[usable, :, None]
+                )[..., 0]
+            rows = rows & np.isfinite(step).all(axis=1)
+            size = np.maximum(1.0, np.abs(step[rows]).max(axis=1, initial=0.0) / _LONGEST)
+            q[rows] = [
+                moved(robot, one, way)
+                for one, way in zip(q[rows], step[rows] / size[:, None], strict=True)
+            ]
+        left = np.full(len(q), np.inf)
+        at = self.terms(truths[rows], q[rows])
+        left[rows] = np.linalg.norm(at.e, axis=1) / np.linalg.norm(at.J, axis=(1, 2))
+        return q, left <= _ATTAINED
 
     def _stabilities(
         self, configurations: Array, at: Terms, timing: Timing | None
@@ -339,19 +466,17 @@ class ClosedLoop:
             )
         return within
 
-    def _drawn(self, n: int, rng: np.random.Generator, inside: int = 0) -> tuple[Indices, Array]:
+    def _drawn(
+        self, n: int, rng: np.random.Generator, inside: int = 0, uniform: bool = False
+    ) -> tuple[Indices, Array]:
         """At least n true robots, the corners in turn, and configurations that they see."""
         k, first = len(self.corners), len(self.plants)
-        at_corners = n // 2 if inside and self.corners.shape[1] else n
+        at_corners = n // 2 * (not uniform) if inside and self.corners.shape[1] else n
         truths = np.arange(-(-at_corners // k) * k) % k
         if at_corners < n:
             others = np.arange(max(n - len(truths), n // 4, 1)) // inside
             assert isinstance(self.truth, Uncertainty)
-            values = np.array([self.truth.sample(rng) for _ in range(int(others[-1]) + 1)])
-            plants = [*map(self.truth.plant, values)]
-            parts = [VisiblePart(self.region, p.sensor, first + k) for k, p in enumerate(plants)]
-            self.values = np.concatenate([self.values, values])
-            self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
+            self.keep(np.array([self.truth.sample(rng) for _ in range(int(others[-1]) + 1)]))
             # no part of the samples, such as every second one, is to be of corners only
             truths = rng.permutation(np.append(truths, first + others))
         return truths, self.seen(truths, self.region.sample(len(truths), rng), rng)
@@ -362,6 +487,11 @@ class ClosedLoop:
         for t in dict.fromkeys(t for t, q in pairs if not sees(self.parts[t].sensor, q)):
             drawn[truths == t] = self.parts[t].replace_unseen(drawn[truths == t], rng)
         return drawn
+
+
+def _is_singular(J_hat: Array) -> NDArray[np.bool_]:
+    values = np.linalg.svd(J_hat, compute_uv=False)
+    return np.asarray(values[:, -1] <= _SINGULAR * values[:, 0])
 
 
 def usual_region(task: Task) -> RegularPart:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,10 @@ class Terms:
     g: Array  # its gravity torque, shape (N, n_v)
     dg: Array  # ∂g/∂q, symmetric, shape (N, n_v, n_v)
 
+    def take(self, which: Any) -> Self:
+        """Return the terms of some indices."""
+        return type(self)(**{name: each[which] for name, each in vars(self).items()})
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples(Terms):
@@ -66,10 +71,6 @@ class Samples(Terms):
 
     def __len__(self) -> int:
         return len(self.q)
-
-    def take(self, which: Indices | slice) -> Samples:
-        """Return the samples of some indices."""
-        return Samples(**{name: each[which] for name, each in vars(self).items()})
 
     def join(self, *others: Samples) -> Samples:
         """Return these samples and others after them."""
@@ -125,15 +126,21 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
                 if not np.allclose(one, other, _ALIKE, _ALIKE, equal_nan=True):
                     raise ValueError(f"{plant.sensor!r} is not like {plants[0].sensor!r}")
 
-    def _numbers(self, plants: Sequence[Plant]) -> ArmNumbers:
+    def _numbers(self, plants: Iterable[Plant]) -> ArmNumbers:
         return ArmNumbers.stacked([arm_numbers(plant.robot, self._frames) for plant in plants])
 
-    def numbers(self, plants: Sequence[Plant]) -> Array:
-        """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too."""
-        # to look for cameras takes longer than all the rest
-        of_sensors = tasks.numbers([plant.sensor for plant in plants]) if self._has_camera else {}
-        numbers = self._program.filled(self._arm.named(self._numbers(plants)) | of_sensors)
-        return numbers if numbers.size else np.zeros((len(plants), 1))
+    def numbers(self, plants: Iterable[Plant]) -> Array:
+        """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too.
+
+        Without cameras they may be one plant that is moved from one to the next.
+        """
+        of_sensors = {}
+        if self._has_camera:  # to look for them takes longer than all the rest
+            plants = list(plants)
+            of_sensors = tasks.numbers([plant.sensor for plant in plants])
+        own = self._numbers(plants)
+        numbers = self._program.filled(self._arm.named(own) | of_sensors)
+        return numbers if numbers.size else np.zeros((len(own.gravity), 1))
 
     def at(self, numbers: Array, q: Array, x_d: Array) -> Terms:
         """Return the terms of robots with some numbers (N, n), each at a q with a target."""

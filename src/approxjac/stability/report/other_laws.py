@@ -11,15 +11,19 @@ import numpy as np
 from approxjac.controllers import Latency
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import percent, plain, wrapped
+from approxjac.robots.traced import motion_between, moved
 from approxjac.simulation import Sensing
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.loop.linearization import LocalStability, LocalTest, local_stability
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rollouts.setting import RolloutSetting
 from approxjac.stability.rows import Row, about_timing, as_json, as_text
+from approxjac.stability.search.worst import climb
+from approxjac.tasks.analysis import sees
 from approxjac.validation import Array
 
-_MOST_TARGETS = 200
+_MOST_TARGETS = 150
+_SEARCHED, _LOOKS = 20, 2  # targets from which on a search follows, of so many steps
 _AGAINST = {"not stable", "fail"}  # verdicts that speak against a law
 
 
@@ -31,7 +35,9 @@ class OtherLawReport:
         setting: The controller, the errors, and their random draws.
         latency: Latency of the loop.
         reason: Reason why no certificate covers it.
-        local: Linearisation of the sampled loop with its delays at targets of the region.
+        local: Linearisation of the sampled loop with its delays at targets of the region, drawn,
+            and the worst that a search from these finds.
+        values: Values of the uncertain numbers at each of these, shape (N, d).
         refused: Reason → number of targets left out.
         rollouts: The rollouts, or None if not requested.
     """
@@ -40,6 +46,7 @@ class OtherLawReport:
     latency: Latency
     reason: str
     local: LocalTest
+    values: Array
     refused: Mapping[str, int]
     rollouts: Rollouts | None
 
@@ -67,8 +74,7 @@ class OtherLawReport:
         if n:
             verdict = "stable" if local.stable and not self.refused else "not stable"
             decay, ratio = local.decay_rates.min(), local.damping_ratios.min()
-            worst = self.setting.start(local.truth[local.worst]).values
-            truth = self.setting.uncertainty.describe(worst)
+            truth = self.setting.uncertainty.describe(self.values[local.worst])
             figures |= {"targets": n, "share": local.share, "decay": decay}
             figures |= {"damping_ratio": ratio, "worst_truth": truth}
             texts.insert(
@@ -112,20 +118,23 @@ def near_targets(
     latency: Latency,
     count: int,
     tell: Callable[[float], None] = lambda share: None,
-) -> tuple[LocalTest, Mapping[str, int]]:
-    """Linearise a sampled loop at the targets of the first rollouts of a setting, 200 at most.
+) -> tuple[LocalTest, Array, Mapping[str, int]]:
+    """Linearise a sampled loop at the targets of the first rollouts of a setting, 150 at most.
 
-    A start that is drawn is the target, unless there is one. Frames of x count as a delay of half
-    the time between them. `LocalTest.truth` are the indices of the rollouts; with it comes how many
-    were left out, by the reason.
+    A start that is drawn is the target, unless there is one. From the worst of these a search goes
+    on, over robots and targets together. Frames of x count as a delay of half the time between
+    them. `LocalTest.truth` are the indices of the rollouts, −1 for what the search finds; with it
+    come the values of the uncertain numbers, shape (N, d), and how many targets were left out, by
+    the reason.
     """
     late = Sensing(
         x_delay=latency.image_age + 0.5 * latency.image_period,
         velocity_filter=latency.velocity_filter or None,
     )
     setting = replace(setting, sensing=late, actuator_delay=latency.torque_delay)
-    results, where, indices, refused = list[LocalStability](), [], [], Counter[str]()
-    count = min(count, _MOST_TARGETS)
+    results, where, indices, values = list[LocalStability](), [], [], []
+    refused, errors, box = Counter[str](), setting.uncertainty, setting.region.box
+    count, d = min(count, _MOST_TARGETS), setting.uncertainty.d
     for k in range(count):
         tell(k / count)
         start = setting.start(k)
@@ -144,4 +153,35 @@ def near_targets(
             continue
         where.append(q)
         indices.append(k)
-    return LocalTest.of(results, np.array(where), np.array(indices, dtype=int)), refused
+        values.append(start.values)
+
+    def growth(z: Array) -> Array:
+        rates = np.full(len(z), -np.inf)
+        for k, (own, motion) in enumerate(zip(errors.at(z[:, :d]), z[:, d:], strict=True)):
+            q = moved(box.robot, box.center, motion * box.upper)
+            plant = errors.plant(own)._sensed(setting.sensing, setting.actuator_delay)
+            if not (setting.region.contains(q) and sees(plant.sensor, q)):
+                continue
+            try:
+                found = local_stability(plant, setting.controller, q, setting.dt)
+            except InvalidInputError:
+                continue
+            rates[k] = found.max_real_eigenvalue
+            if len(looked) == 0 or rates[k] > looked[0][0]:
+                looked[:] = [(rates[k], found, q, own)]
+        return rates
+
+    looked: list[tuple[float, LocalStability, Array, Array]] = []
+    if results and setting.target is None and count >= _SEARCHED:
+        k = int(np.argmax([each.max_real_eigenvalue for each in results]))
+        motion = motion_between(box.robot, box.center, where[k])
+        motion = motion / np.where(box.upper > 0.0, box.upper, 1.0)
+        begun = np.append(errors.units_of(values[k][None])[0], motion)
+        climb(growth, np.clip(begun, -1.0, 1.0)[None], _LOOKS)
+        for _, found, q, own in looked:
+            results.append(found)
+            where.append(q)
+            indices.append(-1)
+            values.append(own)
+    local = LocalTest.of(results, np.array(where), np.array(indices, dtype=int))
+    return local, np.array(values).reshape(len(results), d), refused

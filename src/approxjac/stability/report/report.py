@@ -1,9 +1,9 @@
 """`StabilityReport`: the tests over a region, before anything moves."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -12,46 +12,35 @@ from approxjac.controllers import Latency, TorqueLimited
 from approxjac.formatting import joined, numbers_of, percent
 from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
+    RESERVE,
     MatrixTest,
     SampledTest,
     Theorem1,
-    refine_constants,
-    refine_weights,
-    sampled_test,
     theorem1,
 )
 from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
-from approxjac.stability.certificates.matrix_form import Best, Family, MatrixForm, Weights, on_more
+from approxjac.stability.certificates.matrix_form import Weights
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
-from approxjac.stability.loop.linearization import LocalTest
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rows import Row, about_timing, as_json, as_text, ms
+from approxjac.stability.search.worst import ROUNDS, Growth, fastest_growth, searched_test
 from approxjac.validation import Array
 
-FAMILY_NAMES: dict[Family, str] = {
-    "paper": "paper's weights",
-    "free": "free potential",
-    "wide": "widened",
-    "full": "coupled",
-}
 _IF_IT_STAYS = "as long as the arm stays in the region"
 _REASONS = {
-    "gravity": "gravity is off by up to {error:.3g} {unit}",
-    "unstable": "errors grow at {percent:.3g} % of the targets (exact linearisation)",
+    "unstable": "errors grow at {rate:.3g}/s near the target {where}, with {robot}",
     "rollouts diverged": "{diverged} of {runs} rollouts diverged",
-    "violated": "the Lyapunov function found fails in {violations} of {checked} further "
-    "configurations",
+    "gravity": "gravity is off by up to {error:.3g} {unit}",
     "rank": "the estimated Jacobian loses rank in the region",
     "damped": "the region holds configurations near singular ones, where learning is damped",
     "motors": "the motors cannot hold the arm everywhere in the region",
-    "unstable in continuous time": "errors grow at some targets in continuous time",
-    "too slow": "no Lyapunov function was found for this period and these delays",
-    "none": "no Lyapunov function was found, not even in continuous time",
-    "learnt, none": "with learnt gravity there are certificates in continuous time only, and none "
-    "was found",
+    "violated": "the Lyapunov function found fails in {violations} of {checked} further "
+    "configurations",
+    "none": "no Lyapunov function was found for all errors, configurations and targets",
 }
+_REFUTED = {"unstable", "rollouts diverged"}
 _LIMITS = {
     "cannot hold": _REASONS["motors"],
     "V falls": "in steps of status PROOF_KEPT, in continuous time; of the sampled loop nothing is "
@@ -62,31 +51,31 @@ _LIMITS = {
 }
 _TINY = 1e-6
 _DRAWN = 400  # starts that tell what is usual
-_TARGETS = 1000  # that the sampled loop is linearised at
-_CHOOSE = 1000  # samples at most that functions are chosen on: more of them check instead
+_CHOOSE = 200  # samples at most that functions are chosen on, besides those that a search finds
+_STARTS = 12  # of the search for instability, and 40 where few numbers are uncertain
+_FEW, _MANY = 6, 40
+_NAMED = 6  # uncertain numbers that are all written out
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StabilityReport:
     """Findings of the tests about a controller.
 
-    "Certified" refers to the sampled loop with its delays, Theorem 1 and the matrix form to
-    continuous time. All are sufficient conditions, checked at random samples; that they hold at all
-    other configurations of the region is not proven, but the share of violations is bounded
-    (`MatrixTest.violating_at_most`). They apply to motions that stay in the region.
+    Three words are never mixed. *Refuted*: a search found a true robot and a target near which
+    errors grow, or a rollout diverged. *Certified*: there is one Lyapunov function, and a search
+    over robots, configurations and targets found no case in which it fails. *Proven* would be a
+    proof between the cases, too; nothing here is. Certificates are of motions that stay in the
+    region.
 
     Attributes:
         loop: The closed loop: controller, truth, region and target.
         latency: Latency of the loop.
-        samples: Samples of all tests but the local one and rollouts; those that the Lyapunov
-            functions were chosen on come first.
-        sampled: Matrix form of the sampled loop, or None with learnt gravity, not covered by it.
-        theorem1: Test 1, in continuous time.
-        matrix: Test 2 in continuous time by family, from the smallest to the first that certifies.
-        local: Test 3, in continuous time.
-        spectral_radii: Spectral radii of the exact linearisation of the sampled loop with its
-            delays, from one frame of x to the next, at targets, shape (k,); below 1 if stable.
-        rollouts: Test 4, or None if not requested.
+        samples: Samples of the tests; those that the function was chosen on come first.
+        test: Matrix form of the sampled loop with its delays (`SampledTest`); with learnt gravity,
+            of which there is a certificate in continuous time only, that one.
+        growth: Worst target of the exact linearisation of the sampled loop with its delays.
+        theorem1: Theorem 1 of the paper, in continuous time.
+        rollouts: The rollouts, or None if not requested.
         gravity_error: Largest gravity torque in the region that the controller neither
             compensates nor can learn [N m or N]. All tests but the rollouts take it as zero.
         singular_q: A configuration of the region where Ĵ loses rank, shape (nq,), which prevents
@@ -99,11 +88,9 @@ class StabilityReport:
     loop: ClosedLoop
     latency: Latency
     samples: Samples
-    sampled: SampledTest | None
+    test: MatrixTest
+    growth: Growth
     theorem1: Theorem1
-    matrix: Mapping[Family, MatrixTest]
-    local: LocalTest
-    spectral_radii: Array
     rollouts: Rollouts | None
     gravity_error: float
     singular_q: Array | None
@@ -117,14 +104,9 @@ class StabilityReport:
         return self.gravity_error <= EXACT_GRAVITY
 
     @property
-    def is_as_assumed(self) -> bool:
-        """True if gravity, the rank of Ĵ and Ĵ⁺ are as every certificate assumes."""
-        return self.gravity_is_exact and self.singular_q is None and self.damped_q is None
-
-    @property
-    def certified_by(self) -> str | None:
-        """Name of the test that certifies the sampled loop, "sampled form", or None."""
-        return None if self.reason else "sampled form"
+    def is_sampled(self) -> bool:
+        """True if the test is of the sampled loop; with learnt gravity it is not."""
+        return isinstance(self.test, SampledTest)
 
     @property
     def passed(self) -> bool:
@@ -133,83 +115,67 @@ class StabilityReport:
         With learnt gravity there is none for the sampled loop: then the one in continuous time
         counts, if nothing contradicts it.
         """
-        return self.reason in ("", "learnt")
+        return not self.reason
 
     @property
-    def certified_in_continuous_time(self) -> str | None:
-        """The strongest test that certifies the region, "theorem1" or "matrix", or None.
-
-        It says nothing of what sampling and delays do.
-        """
-        if not self.is_as_assumed or not self.local.stable:
-            return None
-        if self.theorem1.holds:
-            return "theorem1"
-        return "matrix" if any(test.certified for test in self.matrix.values()) else None
+    def refuted(self) -> bool:
+        """True if the loop is unstable with a true robot that was found."""
+        return self.reason in _REFUTED
 
     @property
     def certifying(self) -> Weights | None:
         """Weights of the V that certifies; None if none does."""
-        if not self.passed:
-            return None
-        test: MatrixTest | None = self.sampled
-        if test is None:  # gravity is learnt
-            test = max(self.matrix.values(), key=lambda test: (test.certified, test.margin))
-        return test.weights
+        return self.test.weights if self.passed else None
 
     @property
     def reason(self) -> str:
-        """The reason why the sampled loop is not certified; "" if it is.
-
-        It is a `contradiction`; "violated", "too slow" or "none" (no Lyapunov function); or, with
-        learnt gravity, "learnt" or "learnt, none" (certificates in continuous time only).
-        """
-        if self.contradiction:
+        """The reason why it is not certified: a `contradiction`, "violated" or "none"; or ""."""
+        if self.contradiction or self.test.certified:
             return self.contradiction
-        nowhere = self.certified_in_continuous_time is None
-        if self.sampled is None:
-            return "learnt, none" if nowhere else "learnt"
-        return "none" if self.sampled.margin <= 0.0 and nowhere else self.sampled.reason
+        return "violated" if self.test.violations and self.test.margin > 0.0 else "none"
 
     @property
     def contradiction(self) -> str:
         """A finding that contradicts any certificate; "" if there is none."""
         rollouts = self.rollouts
         reasons = {
+            "unstable": self.growth.grows,
+            "rollouts diverged": rollouts is not None and rollouts.n_diverged > 0,
             "gravity": not self.gravity_is_exact,
             "rank": self.singular_q is not None,
             "damped": self.damped_q is not None,
             "motors": self.limits is not None and not self.limits.holds,
-            "unstable": bool((self.spectral_radii >= 1.0).any()),
-            "unstable in continuous time": not self.local.stable,
-            "rollouts diverged": rollouts is not None and rollouts.n_diverged > 0,
         }
         return next((reason for reason, is_so in reasons.items() if is_so), "")
 
     def describe_truth(self, index: int) -> str:
         """Describe the true robot of the index of a sample's `truth`."""
+        return self._describe(self.loop.values[index])
+
+    def _describe(self, values: Array) -> str:
         truth = self.loop.truth
         if isinstance(truth, Uncertainty) and truth.d > 0:
-            return truth.describe(self.loop.values[index])
+            return truth.describe(values)
         return "the true robot"
 
     @cached_property
     def attraction(self) -> Attraction | None:
         """Starts that never leave the region; None without a certificate, or if it is no box."""
-        if self.sampled is None or self.reason:
+        if not isinstance(self.test, SampledTest) or self.reason:
             return None
-        return attraction(self.loop, self.sampled, np.random.default_rng(self.seed))
+        return attraction(self.loop, self.test, np.random.default_rng(self.seed))
 
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: part of the report, test, verdict and figures."""
-        rows = [_verdict(self), _covers(self), *_about(self), *_beware(self), *_sampled(self)]
+        rows = [_verdict(self), _covers(self), _near(self), _function(self), _theorem1(self)]
+        rows += _beware(self)
         rows += [] if self.limits is None else of_limits(self.limits)
-        rows += _continuous(self)
-        return rows if self.rollouts is None else [*rows, *self.rollouts.rows]
+        rows += [] if self.rollouts is None else self.rollouts.rows
+        return [*rows, *_worst(self), *_about(self)]
 
     def verdict(self) -> str:
-        """Return the verdict on the sampled loop in one line."""
+        """Return the verdict on the loop in one line."""
         return _verdict(self).text
 
     def __repr__(self) -> str:
@@ -220,15 +186,15 @@ class StabilityReport:
         return as_text(self.rows)
 
     def summary(self) -> dict[str, Any]:
-        """Return the part of summary.json: the rows by part and name, and what is certified."""
-        certified = {
+        """Return the part of summary.json: the rows by part and name, and the verdict."""
+        about = {
             "robot": self.loop.controller.task.robot.name,
             "seed": self.seed,
-            "certified_by": self.certified_by,
-            "certified_in_continuous_time": self.certified_in_continuous_time,
+            "certified": self.passed,
+            "refuted": self.refuted,
             "reason": self.reason,
         }
-        return certified | as_json(self.rows)
+        return about | as_json(self.rows)
 
 
 def report_of(
@@ -241,85 +207,64 @@ def report_of(
     rollouts: Rollouts | None = None,
 ) -> StabilityReport:
     """Return the report of a loop; see `Study.report`."""
-    rng, setting = np.random.default_rng(seed), loop.setting
-    half = min(configurations // 2, _CHOOSE)
+    rng, half = np.random.default_rng(seed), min(configurations // 2, _CHOOSE)
     tell("configurations", 0.0)
     samples = loop.draw(half, rng, inside=SHARED)
-    tell("configurations", 0.5)
-    fresh = loop.draw(configurations - half, rng, inside=1)
-    samples = refine_constants(loop, samples, rng)
-    form, check = MatrixForm(samples, setting), MatrixForm(fresh, setting)
-    bests: dict[Family, Best] = {}
-    for k, family in enumerate(setting.families):
-        tell("matrix form", k / len(setting.families))
-        form, best = refine_weights(loop, form, family, rng)
-        bests[family] = best
-        if best.margins.min() > 0.0 and not check.violations(best.weights):
-            break
-    samples = form.samples
-    matrix: dict[Family, MatrixTest] = {}
-    for family, each in bests.items():
-        last = on_more(form, family, each)  # a later family may have bests worse ones
-        matrix[family] = MatrixTest(
-            family, last.weights, last.margins, len(fresh), check.violations(last.weights)
-        )
-    sampled = None
-    if loop.controller.adaptation is None:
-        tell("sampled form", 0.0)
-        sampled = sampled_test(loop, best, form, check, latency)
-    tell("local", 0.0)
-    truths, configured = samples.truth, samples.q
-    if loop.target is not None:
-        truths, configured = loop.targets(0, rng)
-    local = loop.local_test(truths, configured)
-    everywhere = samples.join(fresh)
-    first = theorem1(everywhere, setting)
-    singular_q = loop.singular_configuration(samples)
-    damped_q = loop.damped_configuration(everywhere)
-    gravity_error = loop.gravity_error(samples.q[:: max(1, len(samples) // 20)])
-    radii = loop.spectral_radii(samples.take(slice(_TARGETS)), latency)
+    fresh = loop.draw(configurations - half, rng, uniform=True)
+    tell("near targets", 0.0)
+    starts = _MANY if loop.corners.shape[1] <= _FEW else _STARTS
+    growth = fastest_growth(loop, latency.in_samples(), starts, rng)
+    learns = loop.controller.adaptation is not None
+    held = None if learns else latency
+    on = partial(tell, "one function")
+    rounds = 0 if growth.grows else ROUNDS
+    test = searched_test(loop, held, samples, rng, on, rounds).checked_on(fresh)
+    chosen = test.form.samples
+    everywhere = chosen.join(fresh)
     report = StabilityReport(
-        loop, latency, everywhere, sampled, first, matrix, local, radii, rollouts, gravity_error,
-        singular_q, damped_q, seed,
+        loop, latency, everywhere, test, growth, theorem1(everywhere, loop.setting), rollouts,
+        loop.gravity_error(chosen.q[:: max(1, len(chosen) // 20)]),
+        loop.singular_configuration(samples), loop.damped_configuration(everywhere), seed,
     )  # fmt: skip
     if limiter is None:
         return report
+    sampled = test if isinstance(test, SampledTest) else None
     cost = limit_cost(loop, limiter, everywhere, sampled, report.certifying)
     if sampled is not None and sampled.certified:
-        sampled = sampled.below(cost.level)
-    return replace(report, sampled=sampled, limits=cost)
+        report = replace(report, test=sampled.below(cost.level))
+    return replace(report, limits=cost)
 
 
 # -- rows -----------------------------------------------------------------------------------------
 
 
 def _verdict(report: StabilityReport) -> Row:
-    period, sampled, rollouts = report.latency.period, report.sampled, report.rollouts
+    period, test, rollouts = report.latency.period, report.test, report.rollouts
     late = report.latency.of_position > period
     rate = 1.0 / period
     runs = "sampled at " + (f"{1e-3 * rate:.3g} kHz" if rate >= 1e3 else f"{rate:.3g} Hz")
     runs += " with its delays" if late else ""
     figures: dict[str, Any] = {"period": period, "late": late}
     if report.passed:
-        tests = report.matrix.values() if sampled is None else [sampled]
-        figures["margin"] = max(test.margin for test in tests)
-        if sampled is None:
+        figures["margin"] = test.margin
+        if not report.is_sampled:
             verdict = "in continuous time only"
             text = f"with learnt gravity there is no certificate {runs}"
-            text = f"certified: {verdict}, margin {figures['margin']:.2g}; {text}"
+            text = f"certified {verdict}, margin {test.margin:.2g}; {text}"
             return Row("verdict", "certified", verdict, figures, text)
         figures["stays"] = report.attraction is not None
-        text = f"certified: yes, margin {figures['margin']:.2g}, {runs}"
+        text = f"certified, margin {test.margin:.2g}, {runs}"
         text += "" if figures["stays"] else f", {_IF_IT_STAYS}"
         return Row("verdict", "certified", "yes", figures, text)
     figures |= {"reason": report.reason, "error": report.gravity_error}
-    figures["percent"] = 100.0 * float((report.spectral_radii >= 1.0).mean())
+    figures |= {"rate": report.growth.rate, "robot": _short(report, report.growth.values)}
+    figures["where"] = _where(report, report.growth.q)
     if rollouts is not None:
         figures |= {"diverged": rollouts.n_diverged, "runs": rollouts.n}
-    if sampled is not None:
-        figures |= {"violations": sampled.violations, "checked": sampled.checked}
+    figures |= {"violations": test.violations, "checked": test.checked}
     why = _REASONS[report.reason].format(**figures, unit=report.loop.force_unit)
-    return Row("verdict", "certified", "no", figures, f"certified: no, {runs}: {why}")
+    word = "refuted" if report.refuted else "not certified"
+    return Row("verdict", "certified", word, figures, f"{word}, {runs}: {why}")
 
 
 def _covers(report: StabilityReport) -> Row:
@@ -328,14 +273,14 @@ def _covers(report: StabilityReport) -> Row:
     if runs is not None:
         figures = {"left": runs.n_left, "runs": runs.n}
         left = f" It left the region in {runs.n_left} of {runs.n} rollouts."
-    if report.passed and report.sampled is not None:
-        text = _covered_starts(report, report.sampled, figures)
-        text += f"{left} Checked on samples of the region, not proven between them."
+    if report.passed and isinstance(report.test, SampledTest):
+        text = _covered_starts(report, report.test, figures)
+        text += f"{left} Searched for a counterexample, not proven."
         return Row("verdict", "covers", "certified", figures, text)
     if report.passed:
         text = (
             f"In continuous time the error would go to zero {_IF_IT_STAYS}.{left} Of the sampled "
-            "loop nothing is proven, though no instability was found."
+            "loop nothing is certified, though no instability was found."
         )
         return Row("verdict", "covers", "continuous", figures, text)
     judged = replace(report, gravity_error=0.0) if report.loop.integral_terms else report
@@ -380,7 +325,7 @@ def usual_errors(report: StabilityReport) -> Array:
 
 
 def _about(report: StabilityReport) -> Iterator[Row]:
-    loop, paper = report.loop, report.matrix["paper"]
+    loop, test = report.loop, report.test
     law, learns = loop.controller.describe()[0], loop.controller.adaptation is not None
     truth, region = loop.truth, str(loop.region)
     errors = truth.describe_box() if isinstance(truth, Uncertainty) else "one true robot"
@@ -393,10 +338,10 @@ def _about(report: StabilityReport) -> Iterator[Row]:
         "limit or joint stop is reached"
     )
     yield Row("about", "assumed", "", {"learns": learns}, assumed)
-    drawn = {"chosen": len(paper.margins), "checked": paper.checked, "seed": report.seed}
+    drawn = {"chosen": len(test.margins), "checked": test.checked, "seed": report.seed}
     text = (
-        f"{drawn['chosen']} configurations to choose Lyapunov functions, {paper.checked} others to "
-        f"check them, seed {report.seed}; nothing is proven between them"
+        f"{drawn['chosen']} cases, drawn and found, to choose the function, {test.checked} drawn "
+        f"to check it, seed {report.seed}"
     )
     yield Row("about", "drawn", "", drawn, text)
 
@@ -449,100 +394,87 @@ def of_gravity(loop: ClosedLoop, error: float) -> Row:
     return Row("beware", "gravity", "not exact", figures, text)
 
 
-def _sampled(report: StabilityReport) -> Iterator[Row]:
-    sampled, radii, frame = report.sampled, report.spectral_radii, report.latency.in_samples().frame
-    if sampled is not None:
-        verdict = "holds" if sampled.certified else "does not hold"
-        if sampled.certified and report.reason:
-            verdict = "withdrawn"
-        text = _margin(sampled)
-        if math.isfinite(sampled.margin):
-            text += f" ({FAMILY_NAMES[sampled.family]})"
-        names = ("family", "speed", "level")
-        figures = _figures(report, sampled) | {name: getattr(sampled, name) for name in names}
-        yield Row("sampled", "matrix form", verdict, figures, text)
-    worst, unstable = float(radii.max()), int((radii >= 1.0).sum())
-    decay = -math.log(worst) / frame if worst > 0.0 else math.inf
-    figures = {"spectral_radius": worst, "frame": frame}
-    yield _near(report, "sampled", figures, len(radii), unstable, decay)
-
-
-def _figures(report: StabilityReport, test: MatrixTest) -> dict[str, Any]:
-    names = ("margin", "share", "violations", "checked", "violating_at_most", "certified")
-    return {
-        **{name: getattr(test, name) for name in names},
-        **_case(report, int(report.samples.truth[test.worst]), report.samples.q[test.worst]),
+def _function(report: StabilityReport) -> Row:
+    """Row of the Lyapunov function."""
+    test, most = report.test, report.test.violating_at_most
+    figures: dict[str, Any] = {
+        **{name: getattr(test, name) for name in ("family", "margin", "share", "violations")},
+        **{"checked": test.checked, "violating_at_most": most, "certified": test.certified},
         **test.weights._asdict(),
     }
-
-
-def _case(report: StabilityReport, truth: int, q: Array) -> dict[str, Any]:
-    angles = report.loop.plants[0].robot.angles(q)
-    return {"worst_truth": report.describe_truth(truth), "worst_q": angles}
-
-
-def _margin(test: MatrixTest) -> str:
-    """The margin of a test, and how far it is to be trusted."""
+    if isinstance(test, SampledTest):
+        figures |= {"speed": test.speed, "level": test.level}
+    verdict = "holds" if test.certified else "none"
+    if test.certified and report.reason:
+        verdict = "withdrawn"
     if not math.isfinite(test.margin):
-        return "the period and delays are too long for any function of this kind"
-    text, most = f"margin {test.margin:.3g}", test.violating_at_most
-    if test.margin <= 0.0:
-        return f"{text}; positive in {100.0 * test.share:.3g} % of the configurations"
-    text += f"; {test.violations} of {test.checked} further configurations violate it"
-    if test.certified:
-        text += f", so at most {100.0 * most:.2g} % of all do (95 % confidence)"
-    return text
+        text = "the period and delays are too long for any function of this kind"
+    elif test.margin < RESERVE:
+        text = f"margin {test.margin:.3g} in the worst case, {RESERVE:g} is needed; positive in "
+        text += f"{100.0 * test.share:.3g} % of the cases"
+    else:
+        text = f"margin {test.margin:.3g} in the worst case that a search found; "
+        text += f"{test.violations} of {test.checked} drawn cases fail"
+        if test.certified:
+            text += f", at most {100.0 * most:.2g} % of all do (95 % confidence)"
+    text += "" if report.is_sampled else "; in continuous time"
+    return Row("tests", "one function", verdict, figures, text)
 
 
-def _near(
-    report: StabilityReport,
-    part: str,
-    figures: dict[str, Any],
-    targets: int,
-    unstable: int,
-    decay: float,
-) -> Row:
-    """Row of an exact linearisation, sampled or in continuous time."""
-    learns, ratio = report.loop.controller.adaptation is not None, figures.get("damping_ratio")
-    figures |= {"targets": targets, "unstable": unstable, "decay": decay, "learns": learns}
-    if unstable:
-        worst = f"at {-decay:.3g}/s"
-        if ratio is None:
-            worst = f"{figures['spectral_radius']:.3g}-fold in {ms(figures['frame'])}"
-        text = f"errors grow at {unstable} of {targets} targets, at worst {worst}"
-        return Row(part, "near targets", "unstable", figures, text)
+def _near(report: StabilityReport) -> Row:
+    """Row of the exact linearisation near targets."""
+    growth, learns = report.growth, report.loop.controller.adaptation is not None
+    figures: dict[str, Any] = {**growth._asdict(), "decay": -growth.rate, "learns": learns}
+    figures["truth"] = report._describe(growth.values)
+    looks = f"(a search over robots and targets, {growth.looks} looks)"
+    if growth.grows:
+        text = f"errors grow at {growth.rate:.3g}/s near the worst target {looks}"
+        return Row("tests", "near targets", "unstable", figures, text)
     learnt = " (learnt parameters, often slow, included)" if learns else ""
-    text = f"at all {targets} targets; slowest decay {decay:.3g}/s{learnt}"
-    text += "" if ratio is None else f", damping ratio {ratio:.2g}"
-    return Row(part, "near targets", "stable", figures, text)
+    text = f"slowest decay found {-growth.rate:.3g}/s{learnt} {looks}"
+    return Row("tests", "near targets", "stable", figures, text)
 
 
-def _continuous(report: StabilityReport) -> Iterator[Row]:
-    """Rows about the same loop in continuous time, and the worst cases."""
-    first, local, samples = report.theorem1, report.local, report.samples
-    passed = "holds" if report.is_as_assumed else "would hold"
+def _theorem1(report: StabilityReport) -> Row:
+    """Row of Theorem 1 of the paper."""
+    first = report.theorem1
     names = ("p", "allowed_p", "alpha", "alpha_max", "margin", "b_J", "lambda_m", "lambda_1",
              "lambda_2", "c0", "c1")  # fmt: skip
     figures: dict[str, Any] = {name: getattr(first, name) for name in names}
     figures |= {"holds": first.holds, "too_fast": first.is_too_fast}
-    verdict = passed if first.holds else "does not hold"
-    yield Row("continuous", "Theorem 1", verdict, figures, f"Jacobian error {first}")
-    for family, test in report.matrix.items():
-        verdict = passed if test.certified else "does not hold"
-        figures = _figures(report, test)
-        yield Row("continuous", FAMILY_NAMES[family], verdict, figures, _margin(test))
-    figures = {"damping_ratio": float(local.damping_ratios.min())}
-    unstable, decay = int((local.decay_rates <= 0.0).sum()), float(local.decay_rates.min())
-    yield _near(report, "continuous", figures, len(local.q), unstable, decay)
-    form = report.sampled or list(report.matrix.values())[-1]
-    for name, truths, q, k in (
-        ("matrix form", samples.truth, samples.q, form.worst),
-        ("near targets", local.truth, local.q, local.worst),
-        ("Theorem 1", samples.truth, samples.q, first.worst["p"]),
+    verdict = "holds" if first.holds else "does not hold"
+    text = f"Jacobian error {first}; of the paper, in continuous time"
+    return Row("tests", "Theorem 1", verdict, figures, text)
+
+
+def _worst(report: StabilityReport) -> Iterator[Row]:
+    test, growth = report.test, report.growth
+    k = test.worst
+    for name, values, q in (
+        ("one function", report.loop.values[test.form.samples.truth[k]], test.form.samples.q[k]),
+        ("near targets", growth.values, growth.q),
     ):
-        case = _case(report, int(truths[k]), q[k])
-        text = f"{case['worst_truth']} at q = {numbers_of(np.round(case['worst_q'], 2))}"
-        yield Row("worst", name, "", case, text)
+        angles = report.loop.plants[0].robot.angles(q)
+        figures = {"truth": report._describe(values), "values": values, "q": angles}
+        text = f"{_short(report, values)} {_where(report, q)}"
+        yield Row("worst", name, "", figures, text)
+
+
+def _where(report: StabilityReport, q: Array) -> str:
+    return f"q = {numbers_of(np.round(report.loop.plants[0].robot.angles(q), 2))}"
+
+
+def _short(report: StabilityReport, values: Array) -> str:
+    """Describe a true robot by the errors that are largest within their ranges."""
+    truth = report.loop.truth
+    if not isinstance(truth, Uncertainty) or truth.d <= _NAMED or truth.covariance is not None:
+        return report._describe(values)
+    largest = np.sort(np.argsort(-np.abs(truth.units_of(values[None])[0]), kind="stable")[:_NAMED])
+    some = truth.believed.copy()
+    some[largest] = values[largest]
+    named = truth.describe(some).split(", ")
+    some_of = ", ".join(named[k] for k in largest)
+    return f"{some_of} and {truth.d - _NAMED} other errors (summary() names all)"
 
 
 def of_limits(cost: LimitCost) -> list[Row]:

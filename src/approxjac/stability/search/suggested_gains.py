@@ -11,7 +11,7 @@ from approxjac.controllers import Gains, NoGravity, SetpointController
 from approxjac.controllers.gains.tuning import default_gains, position_gains
 from approxjac.errors import require_known
 from approxjac.formatting import short_fields, wrapped
-from approxjac.stability.certificates.certificate import margin
+from approxjac.stability.certificates.certificate import sampled_test
 from approxjac.stability.loop.closed_loop import SHARED
 from approxjac.stability.search.tolerance import TESTS, Test
 from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
@@ -67,7 +67,7 @@ class Suggestion:
 
     def __str__(self) -> str:
         if self.found is not None:
-            margin = "slowest decay [1/s]" if self.test == "local" else "margin"
+            margin = "slowest decay [1/s]" if self.test == "stable" else "margin"
             heading = f"gains: found, passing with {margin} {self.found.margin:.2g}"
             return "\n".join([*wrapped(heading), *wrapped(str(self.found), "  ")])
         met = np.array([each.met(self.settling_time) for each in self.tried])
@@ -85,7 +85,7 @@ def suggested_gains(
     study: StudiedLoop,
     settling_time: float = 1.0,
     *,
-    test: Test = "matrix",
+    test: Test = "certified",
     torque_limits: float | Sequence[float] | Array | None = None,
     configurations: int = 200,
     progress: Progress = None,
@@ -93,7 +93,7 @@ def suggested_gains(
     """Find gains of law (6) that pass a test, with gravity that is known exactly.
 
     There are three requirements: the test passes for every configuration drawn, and the sampled
-    loop by a report or, for "local", by its exact linearisation; the torque at a start at rest,
+    loop by a report or, for "stable", by its exact linearisation; the torque at a start at rest,
     gravity compensated, is within the limits; and a small error settles to 2 % in time with every
     true robot (a far reach takes longer). Candidates are multiples of the default gains, from low
     to high, with K_p such that the believed arm settles in time.
@@ -101,10 +101,10 @@ def suggested_gains(
     Args:
         study: The study.
         settling_time: Required settling time > 0 [s].
-        test: The test to pass: "theorem1", "matrix" or "local".
+        test: The test to pass: "certified" or "stable".
         torque_limits: A number or shape (n_v,), infinite for no limit [N m or N]; the
             arm's effort limits by default.
-        configurations: Number of configurations to draw, ≥ 20, for the test "local" ≥ 1.
+        configurations: Number of configurations to draw, ≥ 20, for the test "stable" ≥ 1.
         progress: Function called with "gains" and the share done; True shows a bar.
 
     Raises:
@@ -115,7 +115,7 @@ def suggested_gains(
     tell = progress_report(progress)
     require_known("test", test, "the tests", TESTS)
     settling_time = as_number("settling_time", settling_time, unit="s", above=0.0)
-    as_integer("configurations", configurations, 1 if test == "local" else 20)  # as of a report
+    as_integer("configurations", configurations, 1 if test == "stable" else 20)  # as of a report
     # gravity counts for the torque at the start; the tests take it as compensated
     weightless = replace(uncertainty, arm=uncertainty.arm.with_gravity((0.0, 0.0, 0.0)))
     task = weightless.believed_task()
@@ -140,23 +140,25 @@ def suggested_gains(
         slowest = own.local_test(*targets, latency.in_samples()).decay_rates.min()
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
-        if test != "local" and singular:
+        if test != "stable" and singular:
             left = -np.inf  # whatever the gains: the arm may stand still there
         elif ratio <= 1.0 or time <= settling_time:
             grown = float(own.spectral_radii(samples, latency).max())
             if grown >= 1.0:
                 left = 1.0 - grown
             else:
-                left = slowest if test == "local" else margin(test, samples, own.setting)
+                left = slowest
+                if test == "certified":
+                    left = sampled_test(own, samples, latency).margin
         return Candidate(gains, left, ratio, time)
 
     def confirmed(candidate: Candidate) -> Candidate:
         """Return a candidate with the margin that a report has for the sampled loop."""
-        if test == "local":
+        if test == "stable":
             return candidate
         own = replace(known, controller=first.with_gains(candidate.gains))
         report: Any = own.report(configurations)
-        left = report.sampled.margin
+        left = report.test.margin
         return replace(candidate, margin=left if report.passed else min(left, 0.0))
 
     tried: list[Candidate] = []

@@ -6,28 +6,28 @@ from typing import Literal
 
 import numpy as np
 
+from approxjac.controllers import Latency
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.formatting import rows, wrapped
-from approxjac.stability.certificates.certificate import refine_constants, refine_weights, theorem1
-from approxjac.stability.certificates.matrix_form import MatrixForm
 from approxjac.stability.errors.region import uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
 from approxjac.stability.loop.configurations import UnattainedError
 from approxjac.stability.report.other_laws import near_targets
+from approxjac.stability.search.worst import fastest_growth, searched_test
 from approxjac.stability.studied_loop import Progress, StudiedLoop, progress_report
 from approxjac.validation import Array, as_integer, as_number
 
-Test = Literal["theorem1", "matrix", "local", "rollouts"]
-TESTS: tuple[Test, ...] = ("theorem1", "matrix", "local")  # the tests that need no simulation
+Test = Literal["certified", "stable", "rollouts"]
+TESTS: tuple[Test, ...] = ("stable", "certified")  # the tests that need no simulation
 _WORDS = {
-    "theorem1": "Theorem 1 (not checked in other configurations)",
-    "matrix": "the matrix form (not checked in other configurations)",
-    "local": "the linearisation (near targets only)",
+    "certified": "one Lyapunov function (searched, not checked in further configurations)",
+    "stable": "the linearisation (near targets only)",
     "rollouts": "rollouts (no proof)",
 }
 _STEPS = 20  # of bisection
 _CONFIGURATIONS, _RUNS = 400, 100  # by default
+_STARTS = 6  # of a search
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,7 +75,7 @@ def tolerances(
     tests: Sequence[Test] | Test = TESTS,
     *,
     largest: float = 10.0,
-    precision: float = 0.02,
+    precision: float = 0.1,
     draws: int | None = None,
     progress: Progress = None,
 ) -> dict[Test, Tolerance]:
@@ -86,8 +86,8 @@ def tolerances(
 
     Args:
         study: The study.
-        tests: Names of tests, or one: "theorem1", "matrix" (both only if Ĵ does not use x), "local"
-            or "rollouts".
+        tests: Names of tests, or one: "certified" (only if Ĵ does not use x), "stable" or
+            "rollouts".
         largest: Largest scale > 0; less if robots beyond it cannot exist.
         precision: Relative precision of the scale, > 0.
         draws: Number ≥ 1 of configurations, 400 by default, or of rollouts per scale, 100 then.
@@ -100,9 +100,9 @@ def tolerances(
     uncertainty, tell = study.errors, progress_report(progress)
     tests = [tests] if isinstance(tests, str) else tests
     reason = uncovered(study.controller)
-    if reason and (without := set(tests) - {"local", "rollouts"}):
+    if reason and (without := set(tests) - {"stable", "rollouts"}):
         raise InvalidInputError(
-            f'tests must be "local" or "rollouts", got {sorted(without)}: no certificate is for '
+            f'tests must be "stable" or "rollouts", got {sorted(without)}: no certificate is for '
             f"this law; {reason}",
             given=tests,
         )
@@ -126,13 +126,13 @@ def tolerances(
         try:
             if scaled is not None:
                 rng = np.random.default_rng(study.seed)
-                return _failing(scaled, test, draws or _CONFIGURATIONS, rng)
-            if test == "local":
+                return _failing(scaled, study.timing, test, draws or _CONFIGURATIONS, rng)
+            if test == "stable":
                 setting = own.setting()
-                local, refused = near_targets(setting, own.timing, draws or _CONFIGURATIONS)
+                local, values, refused = near_targets(setting, own.timing, draws or _CONFIGURATIONS)
                 if refused:
                     raise InvalidInputError("; ".join(refused), given=study.controller)
-                return None if local.stable else setting.start(local.truth[local.worst]).values
+                return None if local.stable else values[local.worst]
             many = own.rollouts(draws or _RUNS, failures=1)
             return None if many.n_converged == many.n else many.runs[-1].values
         except UnattainedError as error:
@@ -144,6 +144,9 @@ def tolerances(
     for k, test in enumerate(tests):
         passes, worst = 0.0, failing(test, 0.0)
         fails, scale = np.inf if worst is None else 0.0, min(1.0, largest)
+        if test == "certified" and "stable" in tolerated and worst is None:
+            fails, worst = tolerated["stable"].fails_at, tolerated["stable"].worst
+            scale = min(scale, 0.5 * fails)
         for step in range(_STEPS):
             if passes == largest or (np.isfinite(fails) and fails - passes <= precision * fails):
                 break
@@ -160,22 +163,16 @@ def tolerances(
 
 
 def _failing(
-    loop: ClosedLoop, test: Test, configurations: int, rng: np.random.Generator
+    loop: ClosedLoop, latency: Latency, test: Test, draws: int, rng: np.random.Generator
 ) -> Array | None:
     """The true values with which a test without simulation fails, or None if it passes."""
-    if test == "local":
-        local = loop.local_test(*loop.targets(configurations, rng))
-        return None if local.stable else np.array(loop.values[local.truth[local.worst]])
-    samples = loop.draw(configurations, rng, inside=SHARED)
+    loop.targets(draws, rng)  # refuses what no true robot sees
+    growth = fastest_growth(loop, latency.in_samples(), _STARTS, rng)
+    if growth.grows or test == "stable":
+        return growth.values if growth.grows else None
+    samples = loop.draw(draws, rng, inside=SHARED)
     if loop.singular_configuration(samples) is not None:
         return np.array(loop.values[0])  # whatever the errors: the arm may stand still there
-    if test == "theorem1":
-        samples = refine_constants(loop, samples, rng)
-        first = theorem1(samples, loop.setting)
-        return None if first.holds else np.array(loop.values[samples.truth[first.worst["p"]]])
-    form = MatrixForm(samples, loop.setting)
-    for family in form.setting.families:
-        form, best = refine_weights(loop, form, family, rng)
-        if best.margins.min() > 0.0:
-            return None
-    return np.array(loop.values[int(form.samples.truth[best.margins.argmin()])])
+    held = None if loop.controller.adaptation is not None else latency
+    found = searched_test(loop, held, samples, rng)
+    return None if found.certified else np.array(loop.values[found.form.samples.truth[found.worst]])
