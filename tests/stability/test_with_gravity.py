@@ -467,9 +467,9 @@ def test_limited_steps_keep_V_falling_as_they_say(arm, gravity):
     g = np.abs([weight_of(arm, q) for q in report.samples.q]).max(axis=0)
     limiter = aj.TorqueLimited(law, aj.Limits(effort=1.1 * g + 1.0))
     theta, kept = arm.theta if learns else np.zeros(0), 0
-    for k in range(0, len(report.samples), 2):
+    for k in range(len(report.samples)):
         q, x_d = report.samples.q[k], report.samples.x_d[k]
-        if k % 4:  # a third of the samples are at their targets
+        if k % 2:  # a third of the samples are at their targets
             x_d = x_d + 0.1 * rng.normal(size=len(x_d))
         v = 0.2 * rng.normal(size=len(q))
         measurement = aj.Measurement(0.0, q, v, arm.sensor.value(q))
