@@ -185,7 +185,9 @@ def consequences(result: StabilityResult, out: Path) -> str:
     if result.map is not None:
         blocks.append([str(result.map), f"The map is {out / 'map.png'}"])
     if refutation(result) is not None:
-        blocks.append([f"See the errors grow: approxjac simulate {out / 'refuted.toml'}"])
+        blocks.append(
+            [f"That robot, beside that target: approxjac simulate {out / 'refuted.toml'}"]
+        )
     return "\n\n".join("\n".join(block) for block in blocks)
 
 
@@ -213,12 +215,14 @@ def draw_map(result: StabilityResult) -> Figure | None:
 def refutation(result: StabilityResult) -> Scenario | None:
     """Return a scenario with the robot and the target of which a report says that errors grow.
 
-    None where they do not, or of errors of cameras and of joints that are believed elsewhere, which
-    a scenario has no keys for.
+    None where they do not, beyond joint limits, or of errors of cameras and of joints that are
+    believed elsewhere, which a scenario has no keys for.
     """
     scenario, growth, errors = result.scenario, result.report.growth, uncertainty_of(result.study)
     believed, controller = scenario.believed, scenario.controller
     if not growth.grows or errors is None or errors.camera or believed.shifts or believed.rotations:
+        return None
+    if (errors.arm.beyond_limits(growth.q) > _AWAY).any():
         return None
     (length, mass), shifts, rotations = errors.differences(growth.values)
     true, q = scenario.true, errors.arm.angles(growth.q)
@@ -227,14 +231,15 @@ def refutation(result: StabilityResult) -> Scenario | None:
     held = replace(held, mass=errors.believed_mass)
     true = replace(true, object=object_, calibration=None)
     true = replace(true, shifts=_listed(shifts), rotations=_listed(rotations))
-    law = "setpoint" if controller.law is None else controller.law
-    goal = Goal(configuration=tuple(q))
+    low, high = errors.arm.position_limits
+    q = np.clip(q, low, high)
+    start = np.where(q + _AWAY <= high, q + _AWAY, q - _AWAY)
     return replace(
         scenario,
         true=true,
         believed=replace(believed, object=held),
-        controller=replace(controller, law=law),
-        run=replace(scenario.run, start=tuple(q + _AWAY), target=goal),
+        controller=replace(controller, law="setpoint"),
+        run=replace(scenario.run, start=tuple(start), target=Goal(configuration=tuple(q))),
     )
 
 
