@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import approxjac as aj
 from approxjac.cameras import PlanarCamera
-from approxjac.codegen.arm.arm_numbers import arm_numbers
+from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
 from approxjac.errors import InvalidInputError, UnknownNameError
 from approxjac.stability.certificates.matrix_form import MatrixForm, best_weights
 from approxjac.stability.loop.closed_loop import ClosedLoop
@@ -133,18 +133,26 @@ def test_a_robot_that_moves_is_each_of_the_others(name, rng):
     )
     moving = errors.moving()
     drawn = [errors.low, *(errors.sample(rng) for _ in range(3)), errors.believed, errors.high]
-    seen = set()
+    seen, robots = set(), []
     for values in [*drawn, *reversed(drawn)]:
         own, moved = errors.plant(values), moving.plant(values)
         q, frames = arm.random_configuration(rng), (own.robot.tip,)
         each = (arm_numbers(robot, frames) for robot in (own.robot, moved.robot))
         for one, other in zip(*each, strict=True):
             assert_array_equal(one, other)
+        robots.append(arm_numbers(own.robot, frames))
         assert_array_equal(own.sensor.value(q), moved.sensor.value(q))
         assert_array_equal(own.dynamics.g(q), moved.dynamics.g(q))
         assert moved.robot == own.robot  # by its text
         seen.add(id(moved.robot))
     assert len(seen) == 2  # it, and what is believed
+    # many at once have the same numbers
+    belief, values = errors.belief(), np.array([*drawn, *reversed(drawn)])
+    tip = belief.mimic_joints.model.getFrameId(belief.tip)
+    changes = errors.changes(values)
+    together = arm_numbers(belief, (belief.tip,)).changed(changes, [tip], len(values))
+    for one, other in zip(ArmNumbers.stacked(robots), together, strict=True):
+        assert_allclose(one, other, rtol=0, atol=1e-12)
     assert errors.plant(errors.high).robot is not errors.plant(errors.high).robot
 
 

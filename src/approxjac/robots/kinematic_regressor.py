@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, partial, reduce
+from functools import cached_property, partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from approxjac.errors import InvalidInputError
 from approxjac.files import read_arrays, refusing, replaced
+from approxjac.robots.perturbation import rotations_of
 from approxjac.robots.robot import MimicJoints, Robot, all_frame_id
 from approxjac.robots.traced import arm_of
 from approxjac.validation import Array, Immutable, as_array, as_vector, read_only, require
@@ -259,7 +260,17 @@ class KinematicRegressor(Immutable):
     def errors(self, theta: Array) -> tuple[dict[str, Any], dict[str, Any], dict[str, Array]]:
         """Return shifts [m] and rotations [rad] of joints by θ (p,), and tools [m] without one."""
         theta = as_array("theta", theta, (self.p,), "m or rad")
-        change = (theta - self.theta)[: self.n_lengths].reshape(-1, 3)
+        shifts, turns, held = self.origins(theta[np.newaxis])
+        return (
+            {joint: by[0].tolist() for joint, by in shifts.items()},
+            {joint: pin.log3(by[0]).tolist() for joint, by in turns.items()},
+            {link: tool[0] for link, tool in held.items()},
+        )
+
+    def origins(self, theta: Array) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
+        """Return what `errors` does of θ (N, p): (N, 3) each, but rotations as (N, 3, 3)."""
+        change = (theta - self.theta)[:, : self.n_lengths].reshape(len(theta), -1, 3)
+        change = np.moveaxis(change, 0, 1)
         above = {joint.child: joint for joint in self.robot.tree.joints.values()}
         wanted: dict[str, Array] = dict(zip(self.movers, change[: self._n], strict=True))
         held: dict[str, Array] = {}
@@ -270,7 +281,7 @@ class KinematicRegressor(Immutable):
             else:
                 held[link] = tool
         moved: dict[str, Array] = {}  # in the axes of the link that moves
-        shifts: dict[str, Any] = {}
+        shifts: dict[str, Array] = {}
         # those that carry others first
         for joint in sorted(wanted, key=partial(all_frame_id, self.robot)):
             parent = link = self.robot.tree.joints[joint].parent
@@ -280,13 +291,13 @@ class KinematicRegressor(Immutable):
                 link = above[link].parent
             if moved[joint].any():
                 placed = self._model.frames[all_frame_id(self.robot, parent)].placement
-                shifts[joint] = list(placed.rotation.T @ moved[joint])
-        rotations, turns = dict[str, Any](), theta[self.n_lengths :].reshape(-1, 3)
-        for name, ways, by in zip(self.turners, self.across, turns, strict=True):
+                shifts[joint] = moved[joint] @ placed.rotation
+        turns, angles = {}, theta[:, self.n_lengths :].reshape(len(theta), -1, 3)
+        for name, ways, by in zip(self.turners, self.across, angles.swapaxes(0, 1), strict=True):
             if by.any():  # of tilts and encoder
-                each = [pin.exp3(angle * way) for way, angle in zip(ways, by, strict=True)]
-                rotations[name] = pin.log3(reduce(np.matmul, each)).tolist()
-        return shifts, rotations, held
+                each = rotations_of(by[..., np.newaxis] * np.array(ways))
+                turns[name] = each[:, 0] @ each[:, 1] @ each[:, 2]
+        return shifts, turns, held
 
     @cached_property
     def _data(self) -> pin.Data:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +12,18 @@ import pinocchio as pin
 from approxjac.robots.robot import Robot, require_inertia
 from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, as_size, direction, rotation_onto
 from approxjac.validation import Array, Immutable, changed_copy
+
+Place = tuple[Array, Array]
+"""Rotations (N, 3, 3) and origins (N, 3) [m] in the axes of what carries them."""
+
+
+class Changes(NamedTuple):
+    """What N robots have in place of what the model has, by indices of Pinocchio."""
+
+    joints: dict[int, Place]
+    frames: dict[int, Place]
+    links: dict[int, Array]  # dynamic parameters of all that a joint moves, shape (N, 10)
+    held: Array | None  # dynamic parameters of the object, shape (N, 10)
 
 
 class Perturbation(Immutable):
@@ -83,6 +95,17 @@ class Perturbation(Immutable):
             require_inertia(robot.model, robot.mimic_joints, self.base.tree.source)
         return robot
 
+    def changes(self, lengths: Array, masses: Array, shifts: Array, turns: Array) -> Changes:
+        """Return what N robots have in place of the base's model with all joints independent.
+
+        Args:
+            lengths: Lengths of the object, shape (N,) [m].
+            masses: Its masses, shape (N,) [kg].
+            shifts: Shifts of the k joint origins in the parent links' frames, shape (N, k, 3) [m].
+            turns: Rotations in the joints' own frames, shape (N, k, 3, 3).
+        """
+        return self._parts[-1].changes(lengths, masses, shifts, turns)
+
 
 class PerturbedRobot(Robot):
     """A robot whose model is a changed copy; its URDF is made on first access."""
@@ -125,7 +148,7 @@ class _Parts:
             self._object, self._tip = at["object_joint"], at["object_tip_joint"]
         # what moves on its link: joints with an error, the object's tip, and all that a fixed one
         # of them carries, each with where it is on the frame that carries it
-        self._places: list[tuple[int, int | None, int, pin.SE3, int | None]] = []
+        self._places: list[tuple[int, int | None, int, Place, int | None]] = []
         carried: list[int] = []
         for k, frame in enumerate(frames):  # frames come after those that carry them
             on = frame.parentFrame
@@ -133,13 +156,13 @@ class _Parts:
                 continue
             moves = frame.type == pin.FrameType.JOINT
             place = model.jointPlacements[frame.parentJoint] if moves else frame.placement
-            origin, joint = frames[on].placement.inverse() * place, frame.parentJoint
+            origin, joint = _place(frames[on].placement.inverse() * place), frame.parentJoint
             self._places.append((k, joint if moves else None, on, origin, errors.get(k)))
             if not moves:
                 carried.append(k)
-        # inertias of what may move within a link; the rest of the link as dynamic parameters
-        self._at = {k: pin.SE3(frame.placement) for k, frame in enumerate(frames)}
-        self._inertias: dict[int, pin.Inertia] = {}
+        # bodies that may move within a link, as dynamic parameters; and the rest of the link
+        self._at = {k: _place(frame.placement) for k, frame in enumerate(frames)}
+        self._bodies: dict[int, Array] = {}
         self._links: dict[int, tuple[Array, list[int]]] = {}
         for k, frame in enumerate(frames):
             own = frame.placement.act(frame.inertia).toDynamicParameters()
@@ -147,36 +170,85 @@ class _Parts:
                 j = frame.parentJoint
                 rest, parts = self._links.get(j, (model.inertias[j].toDynamicParameters(), []))
                 self._links[j] = rest - own, [*parts, k]
-                self._inertias[k] = pin.Inertia(frame.inertia)
+                self._bodies[k] = frame.inertia.toDynamicParameters()
 
     def change(
         self, model: pin.Model, length: float, mass: float, shifts: Array, rotations: Array
     ) -> None:
         """Change a copy of the model, with the errors that `Perturbation.robot` takes."""
-        frames, at, inertias = model.frames, self._at.copy(), self._inertias.copy()
+        turns = rotations_of(rotations[np.newaxis])
+        new = self.changes(np.array([length]), np.array([mass]), shifts[np.newaxis], turns)
+        if new.held is not None:
+            model.frames[self._object].inertia = _inertia(new.held[0])
+        for k, (R, t) in new.frames.items():
+            model.frames[k].placement = pin.SE3(R[0], t[0])
+        for j, (R, t) in new.joints.items():
+            model.jointPlacements[j] = pin.SE3(R[0], t[0])
+        for j, body in new.links.items():
+            model.inertias[j] = _inertia(body[0])
+
+    def changes(self, lengths: Array, masses: Array, shifts: Array, turns: Array) -> Changes:
+        """Return what N robots have in place of what the model has; see `Perturbation.changes`."""
+        at, bodies, new = self._at.copy(), self._bodies.copy(), Changes({}, {}, {}, None)
         if self._n is not None:
-            tip = length * self._n
-            cylinder = pin.Inertia.FromCylinder(mass, OBJECT_RADIUS, length)
-            inertias[self._object] = pin.SE3(self._onto_axis, 0.5 * tip).act(cylinder)
-            frames[self._object].inertia = inertias[self._object]
-        for k, joint, on, origin, error in self._places:
+            tips = lengths[:, np.newaxis] * self._n
+            cylinders = np.zeros((len(masses), 10))
+            cylinders[:, 0], cylinders[:, 9] = masses, 0.5 * masses * OBJECT_RADIUS**2
+            across = masses * (3.0 * OBJECT_RADIUS**2 + lengths**2) / 12.0
+            cylinders[:, 4], cylinders[:, 6] = across, across
+            held = _placed(cylinders, self._onto_axis, 0.5 * tips)
+            bodies[self._object], new = held, new._replace(held=held)
+        for k, joint, on, (R, t), error in self._places:
             if k == self._tip:
-                origin = pin.SE3(_NO_TURN, tip)
+                R, t = np.tile(np.eye(3), (len(lengths), 1, 1)), tips
             if error is not None:  # a shift is in the axes of what carries the joint
-                shift = origin.rotation.T.dot(shifts[error])
-                origin = origin * pin.SE3(pin.exp3(rotations[error]), shift)
-            at[k] = place = at[on] * origin
+                R, t = R @ turns[:, error], t + shifts[:, error]
+            carrying, origin = at[on]
+            at[k] = carrying @ R, origin + _turned(carrying, t)
             if joint is None:
-                frames[k].placement = place
+                new.frames[k] = at[k]
             else:
-                model.jointPlacements[joint] = place
+                new.joints[joint] = at[k]
         for j, (rest, parts) in self._links.items():
-            total = rest
-            for k in parts:
-                total = total + at[k].act(inertias[k]).toDynamicParameters()
-            # what has no mass has no centre of mass
-            known = pin.Inertia.FromDynamicParameters(total) if total[0] else pin.Inertia.Zero()
-            model.inertias[j] = known
+            new.links[j] = rest + sum(_placed(bodies[k], *at[k]) for k in parts)
+        return new
 
 
-_NO_TURN = np.eye(3)
+def rotations_of(vectors: Array) -> Array:
+    """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad]."""
+    angles = np.linalg.norm(vectors, axis=-1)[..., np.newaxis, np.newaxis]
+    K = np.cross(np.eye(3), vectors[..., np.newaxis, :])  # K u is v × u
+    # (1 − cos a)/a² as ½(sin ½a / ½a)²
+    c = 0.5 * np.sinc(0.5 * angles / np.pi) ** 2
+    return np.asarray(np.eye(3) + np.sinc(angles / np.pi) * K + c * (K @ K))
+
+
+def _place(placement: pin.SE3) -> Place:
+    return np.array(placement.rotation), np.array(placement.translation)
+
+
+def _turned(R: Array, t: Array) -> Array:
+    return np.asarray((R @ t[..., np.newaxis])[..., 0])
+
+
+def _placed(bodies: Array, R: Array, t: Array) -> Array:
+    """Return the dynamic parameters (N, 10) of bodies placed on a link at R and t."""
+    m, h = bodies[..., :1], _turned(R, bodies[..., 1:4])
+    inertias = bodies[..., [[4, 5, 7], [5, 6, 8], [7, 8, 9]]]
+    spreads = _spread(inertias, 0.5)  # ∫ r rᵀ dm
+    lever, outward = t[..., np.newaxis] * h[..., np.newaxis, :], t[..., np.newaxis]
+    mass = m[..., np.newaxis] * outward * np.swapaxes(outward, -1, -2)
+    spreads = R @ spreads @ np.swapaxes(R, -1, -2) + lever + np.swapaxes(lever, -1, -2) + mass
+    inertias = _spread(spreads, 1.0)[..., [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return np.concatenate([m + 0.0 * h[..., :1], h + m * t, inertias], axis=-1)
+
+
+def _spread(matrices: Array, share: float) -> Array:
+    """Return share tr(A) 1 − A of matrices (…, 3, 3): inertias of spreads, or with ½ back."""
+    traces = np.trace(matrices, axis1=-2, axis2=-1)[..., np.newaxis, np.newaxis]
+    return np.asarray(share * traces * np.eye(3) - matrices)
+
+
+def _inertia(body: Array) -> pin.Inertia:
+    # what has no mass has no centre of mass
+    return pin.Inertia.FromDynamicParameters(body) if body[0] else pin.Inertia.Zero()

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from approxjac.robots import Robot
 from approxjac.robots.kinematic_regressor import across
+from approxjac.robots.perturbation import Changes
 from approxjac.robots.robot import all_frame_id
 from approxjac.validation import Array
 
@@ -29,6 +30,18 @@ class ArmNumbers(NamedTuple):
     gravity: Array  # in the world, shape (3,) [m/s²]
     frame_rotations: Array  # axes of frames in those of the joint that moves them, (k, 3, 3)
     frame_translations: Array  # their origins there, shape (k, 3) [m]
+
+    def changed(self, by: Changes, frames: Sequence[int], N: int) -> ArmNumbers:
+        """Return the numbers of N arms that differ from this one, by indices of its frames."""
+        new = ArmNumbers(*(np.repeat(each[np.newaxis], N, axis=0) for each in self))
+        for j, (R, t) in by.joints.items():
+            new.rotations[:, j - 1], new.translations[:, j - 1] = R, t
+        for j, body in by.links.items():
+            new.inertias[:, j - 1] = body
+        for i, k in enumerate(frames):
+            if k in by.frames:
+                new.frame_rotations[:, i], new.frame_translations[:, i] = by.frames[k]
+        return new
 
     @classmethod
     def stacked(cls, each: Sequence[ArmNumbers]) -> ArmNumbers:

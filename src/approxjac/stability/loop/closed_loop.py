@@ -362,10 +362,10 @@ class ClosedLoop:
         other.corners, truth = different[:0], self.truth
         if not isinstance(truth, Uncertainty):
             return other, which
-        if self._traced is not None and not self._has_camera:  # one robot, moved, is enough
-            moving, other.plants = truth.moving(), self.plants[:1]
+        if self._traced is not None and not self._has_camera:
+            other.plants = self.plants[:1]
             try:
-                other._numbers = self._traced.numbers(map(moving.plant, different))
+                other._numbers = self._traced.numbers_at(truth, different)
             except ValueError:  # of a robot that differs in more than others
                 self._traced = None
             else:

@@ -20,7 +20,7 @@ from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import Symbols, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.robots import Dynamics
-from approxjac.robots.robot import own_joints
+from approxjac.robots.robot import all_frame_id, own_joints
 from approxjac.simulation import Plant
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.tasks import Task
@@ -130,15 +130,20 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
         return ArmNumbers.stacked([arm_numbers(plant.robot, self._frames) for plant in plants])
 
     def numbers(self, plants: Iterable[Plant]) -> Array:
-        """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too.
-
-        Without cameras they may be one plant that is moved from one to the next.
-        """
-        of_sensors = {}
+        """Return the numbers of true robots, (k, n); a ValueError if other ones differ, too."""
+        plants, of_sensors = list(plants), {}
         if self._has_camera:  # to look for them takes longer than all the rest
-            plants = list(plants)
             of_sensors = tasks.numbers([plant.sensor for plant in plants])
-        own = self._numbers(plants)
+        return self._filled(self._numbers(plants), of_sensors)
+
+    def numbers_at(self, truth: Uncertainty, values: Array) -> Array:
+        """Return what `numbers` does of the true robots at values (k, d), without cameras."""
+        belief, k = truth.belief(), len(values)
+        frames = [all_frame_id(belief, frame) for frame in self._frames]
+        known = arm_numbers(belief, self._frames)
+        return self._filled(known.changed(truth.changes(values), frames, k), {})
+
+    def _filled(self, own: ArmNumbers, of_sensors: dict[str, Array]) -> Array:
         numbers = self._program.filled(self._arm.named(own) | of_sensors)
         return numbers if numbers.size else np.zeros((len(own.gravity), 1))
 
