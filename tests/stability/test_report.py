@@ -26,6 +26,8 @@ from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.configurations import inverse_kinematics
 from approxjac.stability.report.report import of_gravity, usual_errors
 from approxjac.stability.search import suggested_gains as search
+from approxjac.stability.search import tolerance
+from approxjac.stability.search.worst import searched_test
 
 Q = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.8, 0.0])
 Q2 = np.array([0.3, 1.2])  # of the two-link arm, far from singular
@@ -617,6 +619,24 @@ def test_what_fails_is_the_camera_that_differs_most():
     found = study.tolerance("stable", draws=20, precision=0.5, largest=2.0)["stable"]
     assert found.scale < found.fails_at <= 2.0
     assert_allclose(found.worst, errors.scaled(found.fails_at).high, rtol=1e-12)
+
+
+def test_certificates_are_sought_among_as_many_draws_as_are_asked_for(monkeypatch):
+    counts = []
+
+    def counted(loop, held, samples, rng):
+        counts.append(len(samples))
+        return searched_test(loop, held, samples, rng)
+
+    monkeypatch.setattr(tolerance, "searched_test", counted)
+    arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
+    tools = aj.Uncertainty(arm, object_length=(0.0, 0.1))
+    study = aj.Study(controller_of(tools), tools, aj.JointBox.around(arm, Q2, 0.2))
+    for draws in (8, 80):
+        counts.clear()
+        study.tolerance("certified", draws=draws, largest=1.0)
+        assert len(counts) == 2  # without errors, and with all of them
+        assert all(draws <= count < 5 * draws for count in counts)
 
 
 @pytest.mark.study
