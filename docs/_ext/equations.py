@@ -1,5 +1,6 @@
 """The table equation → function → tests: of the docstrings of `approxjac.law`, and the rest."""
 
+import functools
 import importlib
 import inspect
 import pkgutil
@@ -32,12 +33,17 @@ def members():
 
 def tests_of(number, name):
     """Names of test files that use a name of the law, or say that they test its equation."""
-    pattern = re.compile(rf"\b(law|aj)\.{name}\b|Eq\. \({number}\)")
-    return sorted(
-        path.name
-        for path in (ROOT / "tests").rglob("test_*.py")
-        if pattern.search(path.read_text(encoding="utf-8"))
-    )
+    return sorted(test for test, used in uses() if {name, f"{number}"} & used)
+
+
+@functools.cache
+def uses():
+    """Names of test files, each with what it uses of the law, and numbers of equations."""
+    pattern, found = re.compile(r"\b(?:(?:aj\.)?law|aj)\.(\w+)|Eq\. \((\d+)\)"), []
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        words = pattern.findall(path.read_text(encoding="utf-8"))
+        found.append((path.name, {word for pair in words for word in pair}))
+    return found
 
 
 def implemented(text):

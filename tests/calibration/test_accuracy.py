@@ -73,9 +73,8 @@ SETS = {
 }
 
 
-@pytest.mark.parametrize(
-    "kind", ["circle", *(pytest.param(k, marks=pytest.mark.study) for k in SETS if k != "circle")]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("kind", SETS)
 def test_true_errors_are_as_large_as_claimed(kind):
     """In the mean over arms drawn as the prior has it, whether much or little is determined."""
     results = [nees(name, seed, SETS[kind]) for name in ("panda", "ur5") for seed in range(6)]

@@ -296,7 +296,7 @@ def test_wrong_priors_are_refused():
 
 
 @pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.study), 1.0])
-@pytest.mark.parametrize("kind", ["tracking", "set-point"])
+@pytest.mark.parametrize("kind", [pytest.param("tracking", marks=pytest.mark.study), "set-point"])
 def test_compiled_laws_learn_the_same_from_a_prior(kind, turn):
     belief, robot = belief_of(aj.load_robot("ur5"))
     arm, task = drawn_arm("ur5", 5, belief, turn), aj.PositionTask(robot)

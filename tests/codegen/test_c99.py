@@ -854,7 +854,7 @@ def test_without_a_target_a_tracking_law_learns_nothing(command, tmp_path):
 @needs_compiler
 @pytest.mark.parametrize(
     "case",
-    [k if k in ("held", "prior") else pytest.param(k, marks=pytest.mark.study) for k in TIMED],
+    [k if k == "held" else pytest.param(k, marks=pytest.mark.study) for k in TIMED],
 )
 def test_what_depends_on_time_is_that_of_python(case, panda, tmp_path):
     """A moving target, and a camera of 50 Hz, 20 ms late, that loses x for a while."""

@@ -210,7 +210,8 @@ class Slips(SimulatedDriver):
         return super().read()
 
 
-@pytest.mark.parametrize("learns", [True, pytest.param(False, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("learns", [True, False])
 def test_a_loop_on_a_robot_tells_it_and_learns_anew_on_request(panda, learns, tmp_path):
     """By a law that learns and one on the measured x."""
     truth, task = panda.with_object(0.15, 0.3, axis="x"), aj.PositionTask(panda.with_object(0.0))

@@ -210,7 +210,7 @@ def test_a_report_draws_from_it(study):
     assert len(report.loop.values) > k
 
 
-@pytest.mark.parametrize("learns", [False, True])
+@pytest.mark.parametrize("learns", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_rollouts_in_lanes_are_those_of_python(study, known, learns):
     """Of a law that learns from the prior that the arms are drawn from, too."""
     pytest.importorskip("llvmlite")
