@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from tests.stability.periods import largest
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency
@@ -18,7 +19,7 @@ from approxjac.robots import GravityRegressor
 from approxjac.stability.certificates.certificate import (
     RESERVE,
     continuous_test,
-    largest,
+    sampled_test,
     theorem1,
 )
 from approxjac.stability.certificates.matrix_form import MatrixForm
@@ -116,10 +117,13 @@ def test_periods_are_certified_up_to_a_share_of_what_is_stable(report):
         held = replace(latency, period=period)
         return bool((report.loop.spectral_radii(worst, held) < 1.0).all())
 
-    certified = sampled.largest_period()  # in the worst cases that a search found, too
+    def certified(period):  # in the worst cases that a search found, too
+        held = replace(latency, period=period)
+        return sampled_test(report.loop, sampled.form.samples, held).margin > 0.0
+
     exact = largest(stable, latency.period)
-    assert 0.5 <= certified / exact <= math.pi / 4.0 + 0.02
-    assert certified >= 5e-4
+    assert certified(0.5 * exact)
+    assert not certified((math.pi / 4.0 + 0.02) * exact)
 
 
 def test_gravity_that_is_left_out_is_said_to_be_known(tools):
@@ -442,8 +446,9 @@ def test_tolerance_of_a_tool_is_larger_for_sharper_tests(tools, box):
     scales = [found[test].scale for test in ("certified", "stable")]
     assert 1.0 < scales[0] < scales[1] < 10.0
     for each in found.values():
-        assert each.scale < each.fails_at <= 1.03 * each.scale
-        assert "times the errors" in str(each)
+        assert each.scale < each.fails_at
+        assert each.fails_at - each.scale <= 0.1 * each.fails_at  # the precision
+        assert "times the errors" in " ".join(str(each).split())
         assert "fails" in str(each)
         assert each.worst_text in str(each)
     assert "object length" in found["certified"].worst_text
@@ -579,7 +584,7 @@ def test_a_saturated_error_is_looked_at_where_it_is_not():
     )
     region = aj.JointBox.around(arm, (1.57, 1.57), 0.3)
     found = aj.Study(controller, errors, region).report(40)
-    slopes = found.samples.slope
+    slopes = found.test.form.samples.slope  # that functions are chosen on
     assert (slopes > 0.5).all(axis=1).mean() > 0.25
     assert (slopes == 0.0).all(axis=1).mean() > 0.25
     assert found.refuted

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tests.stability.periods import largest
 
 import approxjac as aj
 from approxjac.controllers import Latency
@@ -18,7 +19,6 @@ from approxjac.stability.certificates.attraction import (
 )
 from approxjac.stability.certificates.certificate import (
     RESERVE,
-    largest,
     largest_errors,
     sampled_test,
 )

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.stability.periods import largest
 
 import approxjac as aj
 from approxjac.controllers import tuned
 from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.controllers.gains.tuning import default_gains, position_gains
-from approxjac.stability.certificates.certificate import largest
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.search import suggested_gains
 

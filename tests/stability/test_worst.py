@@ -443,3 +443,43 @@ def test_another_search_finds_no_case_that_a_certificate_misses(name, request):
     wrong = sampled_test(exact, exact.draw(40, np.random.default_rng(0)), KHZ)
     far = ClosedLoop(loop.controller, loop.truth.scaled(2.5), loop.region)
     assert attacked(far, wrong, 5)[0] < wrong.margin - 0.2
+
+
+class Needle(aj.stability.Region):
+    """A path of configurations so thin that no random point is in it."""
+
+    def __init__(self, robot):
+        self.robot, self.spread = robot, np.full(robot.nv, 0.1)
+
+    def sample(self, n, rng):
+        return np.array([0.4, 1.2]) + rng.uniform(0.0, 0.2, (n, 1))
+
+    def contains(self, q):
+        return bool(abs(q[1] - q[0] - 0.8) < 1e-9)
+
+
+def test_a_region_that_no_start_hits_is_looked_at_where_it_draws():
+    robot = weightless("two_link")
+    errors = aj.Uncertainty(robot, PLANE, object_length=(0.0, 0.2), object_axis="x")
+    loop = ClosedLoop(law_of(errors, aj.Gains(60.0, 20.0, 2.0)), errors, Needle(robot))
+    found = fastest_growth(loop, KHZ.in_samples(), 6, np.random.default_rng(0))
+    assert -100.0 < found.rate < 0.0
+    assert loop.region.contains(found.q)
+    truth = errors.plant(found.values)
+    own = ClosedLoop(loop.controller, truth, loop.region)
+    at = own.samples_at(np.zeros(1, dtype=int), found.q[None], truth.sensor.value(found.q)[None])
+    assert_allclose(own.growth(at, KHZ.in_samples()), found.rate, rtol=1e-9)
+
+
+def test_further_cases_count_with_their_own_constants(tooled):
+    """A constant of the proof that they exceed is no bound: the function is judged by theirs."""
+    rng = np.random.default_rng(2)
+    test = sampled_test(tooled, tooled.draw(8, rng), KHZ)
+    fresh = tooled.draw(40, rng)
+    widened, blind = test.form.widened(fresh), test.form.elsewhere(fresh)
+    assert widened.turning.fastest >= blind.turning.fastest == test.form.turning.fastest
+    assert max(widened.constant("curvature")) <= widened.turning.curvature
+    assert max(blind.constant("curvature")) > blind.turning.curvature
+    faster = test.form.changed(speed=10.0 * test.speed)  # as if it were this that mattered
+    exceeds = faster.widened(fresh).margins(test.weights)
+    assert (exceeds < faster.elsewhere(fresh).margins(test.weights)).all()

@@ -31,11 +31,8 @@ from approxjac.validation import Array
 RESERVE = 0.02  # margin that a search may have missed
 _SLOWEST = 0.06  # times the speed that all starts need, that is tried if that is too fast
 _SPARE = 1.4  # c is at most so many times what starts need: σ² is known afterwards only
-_WORST = 120  # samples that largest periods and delays are sought with
-_HALVINGS = 7
 _FARTHEST = 1e6  # error that is looked at
 _TIMES = 90  # that an interval of it is halved
-_LONGEST = 64.0  # times the period of the loop
 _BELOW = 0.999  # (14) is strict
 _KILOHERTZ = Latency()
 
@@ -97,7 +94,7 @@ class MatrixTest:
 
     def checked_on(self, samples: Samples) -> Self:
         """Return this test, checked on further samples."""
-        violations = self.form.elsewhere(samples).violations(self.weights)
+        violations = self.form.widened(samples).violations(self.weights)
         return replace(self, checked=len(samples), violations=violations)
 
     def with_samples(self, samples: Samples) -> Self:
@@ -133,16 +130,6 @@ class SampledTest(MatrixTest):
     def below(self, level: float) -> SampledTest:
         """Return this test for motions with V(0) ≤ level [J], if that is less than its own."""
         return replace(self, most=min(level, self.most))
-
-    def largest_period(self) -> float:
-        """Return the largest period that this function certifies, all else the same [s]."""
-        return largest(self._passes, self.latency.period)
-
-    def _passes(self, period: float) -> bool:
-        """True if some multiplier certifies another period in the worst samples."""
-        hold = Hold.of(replace(self.latency, period=period))
-        form = self.form.take(np.argsort(self.margins)[:_WORST]).changed(hold=hold)
-        return form.is_possible() and bool(form.best_multiplier(self.weights).margins.min() > 0.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -272,19 +259,6 @@ def best_family(form: MatrixForm, known: MatrixTest | None = None) -> tuple[Best
         if tried[-1][0].margins.min() >= RESERVE:
             break
     return max(tried, key=lambda each: float(each[0].margins.min()))
-
-
-def largest(passes: Callable[[float], bool], first: float) -> float:
-    """Return the largest time that passes, by halving from `first` on; 0 where none does."""
-    low, high = 0.0, first
-    while high < _LONGEST * first and passes(high):
-        low, high = high, 2.0 * high
-    halvings = int(low > 0.0)
-    while halvings <= _HALVINGS and high > first / _LONGEST:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if passes(middle) else (low, middle)
-        halvings += low > 0.0
-    return low
 
 
 def continuous_test(

@@ -145,6 +145,10 @@ class MatrixForm:
         """Return this form at other samples of the same region."""
         return MatrixForm(samples, self.setting)
 
+    def widened(self, samples: Samples) -> MatrixForm:
+        """Return this form at other samples, whose largest constants count, too."""
+        return self.elsewhere(samples)
+
     def including(self, samples: Samples) -> MatrixForm:
         """Return this form with more samples."""
         return MatrixForm(self.samples.join(samples), self.setting)
@@ -264,24 +268,19 @@ class _OfSamples(NamedTuple):
     ddamped: Array
 
 
-def best_weights(
-    form: MatrixForm, family: Family | FamilyNumbers, known: Best | None = None
-) -> Best:
-    """Choose the Lyapunov function of a family, or of its unknowns, whose least margin is largest.
+def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
+    """Choose the Lyapunov function of a family whose least margin is largest.
 
     The worst samples are collected until no other one is worse. `known` is the best for the first
     samples, to start from.
     """
-    unknowns = form.unknowns(family) if isinstance(family, str) else family
+    unknowns = form.unknowns(family)
     N = len(form.samples)
     y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
     if known is not None:
         active = np.union1d(known.active, np.arange(len(known.margins), N))
         y, cuts = known.unknowns, known.cuts
-    if not unknowns.basis:
-        weights = unknowns.fixed
-        return Best(weights, form.margins(weights), active, y, cuts)
     y, inner, cuts = _cutting_planes(form.take(active), unknowns, y, cuts)
     for every in (_FIRST, 1):  # most of the samples that decide it are found among a few
         some = form.take(slice(None, None, every))
@@ -520,6 +519,11 @@ class SampledForm(MatrixForm):
         form, friction = MatrixForm(samples, self.setting), self._friction
         return SampledForm(form, friction, self.hold, self.speed, self.most_s, self.turning)
 
+    def widened(self, samples: Samples) -> SampledForm:
+        form, friction = MatrixForm(samples, self.setting), self._friction
+        other = SampledForm(form, friction, self.hold, self.speed, self.most_s)
+        return other.changed(turning=Turning(*np.maximum(self.turning, other.turning).tolist()))
+
     def including(self, samples: Samples) -> SampledForm:
         form, friction = super().including(samples), self._friction
         return SampledForm(form, friction, self.hold, self.speed, self.most_s)
@@ -563,11 +567,6 @@ class SampledForm(MatrixForm):
         start = np.append(numbers.start, np.ones(len(more)))
         least = np.append(numbers.least, np.zeros(len(more)))  # none of these is negative
         return FamilyNumbers(numbers.fixed, [*numbers.basis, *more], start, least)
-
-    def best_multiplier(self, weights: Weights) -> Best:
-        """Choose the multiplier, and X, of a given function."""
-        fixed, none = weights._replace(multiplier=0.0, X=0.0), np.zeros(0)
-        return best_weights(self, self._with_multipliers(FamilyNumbers(fixed, [], none, none)))
 
     def unknowns(self, family: Family) -> FamilyNumbers:
         """Return the unknowns of a family, with the multiplier and X."""

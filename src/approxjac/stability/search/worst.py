@@ -201,8 +201,13 @@ def fastest_growth(
     z, rates = climb(scored(loop, box, exact), z, 2 if learns else _STEPS // 4)
     worst = box.cases(z[[rates.argmax()]])
     samples, _ = loop.judged(*worst)
-    q = samples.q[0] if len(samples) else worst.q[0]
-    return Growth(float(rates.max()), worst.values[0], q, looks)
+    if not len(samples):  # no start is a case, so cases are drawn by whoever knows the region
+        truths, q = loop.targets(starts, rng)
+        x = loop.terms(truths, q).x
+        rates = exact(samples := loop.samples_at(truths, q, x))
+        first = int(rates.argmax())
+        return Growth(float(rates[first]), loop.values[truths[first]], q[first], looks)
+    return Growth(float(rates.max()), worst.values[0], samples.q[0], looks)
 
 
 def worst_margins(
