@@ -1184,8 +1184,29 @@ MUTANTS = [
         "tests/stability/test_certificate.py",
     ),
     (
+        "further cases by the constants of others", "stability/certificates/matrix_form.py",
+        "Turning(*np.maximum(self.turning, other.turning).tolist())", "self.turning",
+        "tests/stability/test_worst.py",
+    ),
+    (
+        "nothing looked at decays", "stability/search/worst.py",
+        "rates = exact(samples := loop.samples_at(truths, q, x))",
+        "rates = -exact(loop.samples_at(truths, q, x)) ** 2", "tests/stability/test_worst.py",
+    ),
+    (
+        "a tool's centre is at its root", "robots/perturbation.py",
+        "self._onto_axis, 0.5 * tips", "self._onto_axis, 0.0 * tips",
+        "tests/robots/test_perturbation.py",
+    ),
+    (
+        "a shift in the joint's own axes", "robots/perturbation.py",
+        "R @ turns[:, error], t + shifts[:, error]",
+        "R @ turns[:, error], t + _turned(R, shifts[:, error])",
+        "tests/robots/test_perturbation.py",
+    ),
+    (
         "checked where it was chosen", "stability/certificates/certificate.py",
-        "self.form.elsewhere(samples).violations(self.weights)",
+        "self.form.widened(samples).violations(self.weights)",
         "self.form.violations(self.weights)",
         "tests/stability/test_sampled_test.py",
     ),
@@ -1503,7 +1524,7 @@ MUTANTS = [
     ),
     (
         "tilts in the other order", "robots/kinematic_regressor.py",
-        "pin.log3(reduce(np.matmul, each))", "pin.log3(reduce(np.matmul, each[::-1]))",
+        "each[:, 0] @ each[:, 1] @ each[:, 2]", "each[:, 2] @ each[:, 1] @ each[:, 0]",
         "tests/robots/test_kinematic_regressor.py",
     ),
     (
