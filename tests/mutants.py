@@ -1095,7 +1095,7 @@ MUTANTS = [
     ),
     (
         "lag learns while its command is limited", "controllers/tracking.py",
-        "return law.select(law.all_equal(sent, wanted), lag, state), sent", "return lag, sent",
+        "lag = law.select(law.all_equal(sent, wanted), lag, state)", "pass",
         "tests/controllers/test_tracking.py",
     ),
     (
@@ -1595,8 +1595,12 @@ MUTANTS = [
     ),
     (
         "first command from rest", "controllers/tracking.py",
-        "state[self._end : self._last] = v",
-        "state[self._end : self._last] = 0.0", "tests/controllers/test_tracking.py",
+        "return np.concatenate([v, q, v])",
+        "return np.concatenate([0.0 * v, q, v])", "tests/controllers/test_tracking.py",
+    ),
+    (
+        "a lag by q_r' now alone", "controllers/tracking.py",
+        "went - 0.5 * (v_r_before + v_r)", "went - v_r", "tests/controllers/test_tracking.py",
     ),
     (
         "stops beside continuous joints by q", "controllers/tracking.py",

@@ -36,7 +36,7 @@ from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
 from approxjac.robots import Drives, Dynamics, Friction, Robot
-from approxjac.robots.traced import moved, positions_at
+from approxjac.robots.traced import motion_between, moved, positions_at
 from approxjac.tasks import ImageTask, PoseTask, PositionTask, StackedTask, Task
 from approxjac.tasks.analysis import (
     require_as_believed,
@@ -245,7 +245,7 @@ class TrackingController(Immutable, Controller):
                 UsedGains(first.alpha, first.most, self._added, own),
                 UsedGains(strong.alpha, strong.most, added, gamma),
             )  # fmt: skip
-        last = 0 if self._commands is None else robot.nv
+        last = 0 if self._commands is None else self._commands.n_state
         self._last = self._end + (last if self._raised is None else self._raised.n_state)
         # of metres and radians at once it is usually 0.05, where nothing is singular
         most = _SINGULAR_RATIO if len(set(task.units)) == 1 else law.SINGULAR_RATIO
@@ -314,7 +314,7 @@ class TrackingController(Immutable, Controller):
         if self._commands is None:
             state[: self.resting] = self.dynamics.initial_state()
         else:
-            state[self._end : self._last] = v
+            state[self._end : self._last] = self._commands.start(q, v)
         if self._raised is not None:
             state[self._end : self._last] = self._raised.watch.start(v)
         if self._eased is not None:
@@ -409,8 +409,8 @@ class TrackingController(Immutable, Controller):
         if self._commands is not None:
             _, _, a_v, *_ = self._reference(known, q, v_r, target, waits, besides=besides)
             sends = slice(end, self._last)
-            lag, sent = self._commands.step(state[:1], q, v, v_r, a_v, state[sends])
-            after[:1], after[sends] = lag, sent
+            after[:1], after[sends] = self._commands.step(state[:1], state[sends], q, v_r, a_v)
+            sent = after[sends][: len(v)]
             return after, Evaluation(sent, None, status, e, J_hat, None, reference=v_r)
         learnt: Any = {} if used.gamma is None else {"gamma": used.gamma}
         a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt, **learnt)
@@ -617,7 +617,11 @@ class VelocityCommand:
 
     w = ∂q̇_r/∂t + Dq̇_r with D = ∂q̇_r/∂q is the q̈_r = w + Dσ of joints that follow exactly (σ = 0).
     It has no noise of q̇, which in both q̈_r and σ would make L̂ grow. V₃ of `law.servo_lag_rate`
-    falls with D near −αĴ⁺Ĵ for a lag below 1/α. A delay acts as lag, without a proof.
+    falls with D near −αĴ⁺Ĵ for a lag below 1/α. A delay acts as lag, without a proof. σ is a mean
+    over the last period: how fast q went, less the mean of q̇_r at both of its ends. By q̇ itself an
+    ideal servo would seem late by a period, and q is late by half of that, as commands are held.
+
+    Its memory are the last command, q and q̇_r.
 
     Before, q̇_r is scaled as a whole to the speed limits (`law.within_speeds`). Joints near their
     position limits are slowed down one by one, and commands change by at most `sure_deceleration`,
@@ -631,18 +635,26 @@ class VelocityCommand:
             limits.position, limits.velocity, _APPROACH, self.acceleration
         )
         self._robot, self._dt, self._change = robot, dt, dt * self.acceleration
+        self.n_state = 2 * robot.nv + robot.nq
+
+    def start(self, q: Array, v: Array) -> Array:
+        """Return the memory before the first step."""
+        return np.concatenate([v, q, v])
 
     def step(
-        self, state: Array, q: Array, v: Array, v_r: Array, w: Array, before: Array
+        self, state: Array, memory: Array, q: Array, v_r: Array, w: Array
     ) -> tuple[Array, Array]:
-        """Return the next L̂ [s], shape (1,), and the command; w is q̈_r at q̇ = q̇_r."""
+        """Return the next L̂ [s], shape (1,), and memory; w is q̈_r at q̇ = q̇_r."""
+        before, q_before, v_r_before = np.split(memory, (len(v_r), len(v_r) + len(q)))
         wanted = v_r + state[0] * w
         low, high = law.speed_bounds(positions_at(self._robot, q), self._joints)
         sent = np.minimum(np.maximum(wanted, low), high)
         sent = np.minimum(np.maximum(sent, before - self._change), before + self._change)
-        lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, v - v_r)
+        went = motion_between(self._robot, q_before, q) / self._dt
+        lag = state + self._dt * law.servo_lag_rate(_LAG_GAIN, w, went - 0.5 * (v_r_before + v_r))
         lag = np.minimum(np.maximum(lag, 0.0), _LONGEST_LAG)
-        return law.select(law.all_equal(sent, wanted), lag, state), sent
+        lag = law.select(law.all_equal(sent, wanted), lag, state)
+        return lag, np.concatenate([sent, q, v_r])
 
 
 def _learnt(robot: Robot, gains: JointGains, friction: Friction | None) -> AdaptiveDynamics:
