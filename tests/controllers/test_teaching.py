@@ -113,7 +113,7 @@ def test_a_servo_is_sent_ahead_by_how_the_taught_motion_changes(panda):
     for k in range(40):
         now = aj.Measurement(k * dt, q, v, task.value(q), k * dt)
         state = law_.initial_state(now) if state is None else state
-        state[0], state[law_._end : law_._last] = lag, v  # it may go on from here
+        state[0], state[law_._end : law_._end + 7] = lag, v  # it may go on from here
         state, answer = law_.step(state, now, circle.at(k * dt), dt)
         v = answer.reference
         q = q + dt * v
