@@ -126,7 +126,8 @@ def setup_of(case):
         return drawn(robot, seed)
     if case.kind == "velocity":
         small = SMALL if robot == "so101" else {}
-        return Setup(robot, seed=seed, sensing={"velocity_filter": FILTERED}, **small)
+        sensing = {"velocity_filter": FILTERED, "q_quantum": QUANTUM.get(robot, 1e-4)}
+        return Setup(robot, seed=seed, sensing=sensing, **small)
     if case.kind == "class":
         return Setup(robot, seed=seed, axes=math.radians(2.0) if "axes" in case.wrong else 0.0)
     lost = {"x_lost": [LOST]} if case.kind == "lost" else {}
@@ -148,7 +149,7 @@ def drawn(robot, seed):
 def plant_of(case, setup):
     """Return the true robot."""
     if case.kind == "velocity":
-        servo = VelocityServo(0.03, 0.008, PERIOD, QUANTUM.get(case.robot, 1e-4))
+        servo = VelocityServo(0.03, 0.008, PERIOD)
         return setup.plant(servo=servo)
     if case.kind in ("real", "lost"):
         coulomb = COULOMB * setup.belief.effort_limits
