@@ -376,7 +376,7 @@ class Monitor:
             if not self._window:
                 self._since, self._quiet = t - h * (len(self._lately) - 1), 0.0
                 self._window.extend(self._lately)
-            self._weak_motor(*lone)
+            self._weak_motor(lone[0], max(lone[1], self._lacks(lone[0])), lone[2])
         lasts = bool(self._window) and t - self._since > _ABSORBED
         if lasts:
             _diagonal(self._P)[:] += _OPENS * self._drift
@@ -475,9 +475,8 @@ class Monitor:
         is_sudden &= not self._is_outside
         least = (_USED + _STUCK * self._stood[j]) * self._scale[j]
         if is_sudden and fits and used > least:
-            if since < _SLOWLY:  # what it will be when the filter has settled
-                last = self._last(min(_SAMPLES // 2, len(self._samples) - 1))
-                share = -float(last.off[j]) / float(last.torque[j] or 1e-12)
+            if since < _SLOWLY:
+                share = self._lacks(j)
             is_clear = share > _DEAD and left < _CLEAR < 0.2 * beside
             if since >= (_SOON if is_clear else _ALONE if alone else _SLOWLY):
                 self._weak_motor(j, share, used)
@@ -556,6 +555,12 @@ class Monitor:
         off = gained - 0.5 * (self._rest(q, v) + self._rest(q0, v0)) - H @ self._estimate
         variance = variance + 2.0 / h**2 * self._M**2 @ self._noise
         return _Tick(off, 1.0 / np.sqrt(variance), given, J, load, H, variance)
+
+    def _lacks(self, j: int) -> float:
+        """Return the share of its torque that a motor lacks, before the filter has settled."""
+        since = sum(t > self._since - 0.5 * _TICK for t, *_ in self._samples)
+        last = self._last(min(_SAMPLES // 2, len(self._samples) - 1, max(since, 1)))
+        return -float(last.off[j]) / float(last.torque[j] or 1e-12)
 
     def _weak_motor(self, j: int, share: float, torque: float) -> None:
         gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"
