@@ -1529,8 +1529,8 @@ MUTANTS = [
     ),
     (
         "x is early by its delay", "controllers/learning/estimator.py",
-        "then, is_known = taken - late, oldest < taken",
-        "then, is_known = taken + late, oldest < taken", LEARNT,
+        "then, is_known = taken - late, t",
+        "then, is_known = taken + late, t", LEARNT,
     ),
     (
         "turns of a late pose", "controllers/learning/positions.py",
@@ -2257,7 +2257,33 @@ MUTANTS = [
     ),
     (
         "monitor: a dead motor is a reversed one", "simulation/monitor.py",
-        "share > 1.0 + _WEAK", "share > 0.9", MONITOR,
+        'with" if share > 1.0 + _WEAK', 'with" if share > 0.9', MONITOR,
+    ),
+    (
+        "monitor: a motor behind springs waits for all looks", "simulation/monitor.py",
+        "1 < len(self._lately) < _TESTED", "_TESTED < len(self._lately)", MONITOR,
+    ),
+    (
+        "monitor: a lone motor leaves what a push leaves", "simulation/monitor.py",
+        "min(_LONE, _BESIDE * beside)", "1.0", MONITOR,
+    ),
+    (
+        "monitor: a step of an encoder is a motion", "simulation/monitor.py",
+        " > _STEPS * self._step[j]", " > -1.0", MONITOR,
+    ),
+    (
+        "monitor: coupled joints count against a motor", "simulation/monitor.py",
+        "weight * self._M[j], j, axis=1)", "1e-9 * weight * self._M[j], j, axis=1)", MONITOR,
+    ),
+    (
+        "a fall in waves is not braked", "realtime/watches.py",
+        "2.0 * self._fallen > self._falls * gained", "self._fallen > self._falls * gained",
+        WATCHES,
+    ),
+    (
+        "frames are remembered longer than is said", "controllers/learning/estimator.py",
+        "t - taken <= self._horizon + _ROUND_OFF", "oldest < taken",
+        "tests/controllers/test_documented_figures.py",
     ),
     (
         "monitor: what dies out lasts", "simulation/monitor.py",

@@ -628,8 +628,14 @@ def test_what_falls_at_the_start_may_be_faster_if_it_is_braked(arm):
     def falls(to):
         return lambda t: to * (1.0 - math.exp(-t / max(0.02, 6.0 * dt)))
 
+    size = min(0.18, 1e-3 / dt) * most  # of waves that periods show
+
+    def falls_in_waves(t):  # behind a spring: slower and faster again
+        return falls(0.8 * most)(t) + size * math.sin(math.pi * t / max(0.02, 6.0 * dt))
+
     if most > 1.1 * normal:
         assert stopped(falls(0.99 * most)) is None
+        assert stopped(falls_in_waves) is None
         assert stopped(falls(most), 0.15)[0] >= 0.1 - dt  # later, nothing falls
     _, speed = stopped(falls(1.3 * max(most, normal)))
     assert speed > 0.98 * max(most, normal)

@@ -85,8 +85,8 @@ class FaultWatch:
         self._command, self._held_by, self._led, self._recent = np.zeros((4, n))
         self._fades = math.exp(-dt / _FADES)
         self._faster = np.maximum(_FASTER * fastest, [_SLOW[unit] for unit in self._units])
-        self._falls: list[Array] = []  # speeds of the first moments, until a time
-        self._lands = 0.0
+        # of a fall as it begins: |q̇| at first, the sum of what it gained, how often, until when
+        self._released, self._fallen, self._falls, self._lands = np.zeros(n), np.zeros(n), 0, 0.0
         self._peaks = [0.0] * (_STEPS + 1)  # of speed beyond that, relative to the fastest
         self._peak_until = 0.0
         self._ahead = deque([-math.inf], maxlen=_REMEMBERED)
@@ -104,7 +104,7 @@ class FaultWatch:
         self._ahead.append(t - now)
         missed, self._unknown = self._unknown, 0
         if last is None:
-            self._peak_until, self._lands = t + _TIME, t + _FALLS
+            self._peak_until, self._lands, self._released = t + _TIME, t + _FALLS, np.abs(v)
             return None
         elapsed = t - last.t
         if not 0.0 <= elapsed <= self._late + missed * self._dt:
@@ -133,10 +133,10 @@ class FaultWatch:
         self._recent = np.maximum(self._fades * self._recent, self._led + led)
         v, most = self._last.v, self._recent + self._faster
         if self._last.t < self._lands:  # let go with a load that is not known, it falls at first
-            self._falls.append(np.abs(v))
-            first, n = self._falls[0], len(self._falls) - 1
-            halfway = self._falls[n // 2] - first
-            is_braked = n // 2 * (self._falls[n] - first) < n * halfway
+            gained = np.abs(v) - self._released
+            self._fallen, self._falls = self._fallen + gained, self._falls + 1
+            # by the mean of what it gained, as a joint with springs falls in waves
+            is_braked = 2.0 * self._fallen > self._falls * gained
             most = np.where(is_braked, np.maximum(most, _FALL * self._fastest), most)
         return self._too_fast(v, most)
 

@@ -35,6 +35,7 @@ _DRIFT = 0.07  # per √s, of these: how they change
 _OPENS = 0.02  # s of that drift a look, while something lasts
 _SLIDES = 0.02  # rad/s or m/s, from which on a joint slides
 _SURE = 16.0  # of χ² of a joint: what is no noise
+_LIKELY, _TESTED = 9.0, 25  # of the same: what may be a motor alone; looks in which it has to show
 _TELLS = 60.0  # χ² that a cause explains at least
 _USED, _STUCK = 0.05, 0.1  # of the largest torque, which a motor has to lack; more if it stood
 _SIX_SD = 36.0  # χ² of one number
@@ -46,6 +47,9 @@ _SUDDEN = 0.4  # s, within which a motor's fault shows
 _EXPLAINS, _FITS = 0.1, 0.35  # share of χ² that one motor, or a force or load, may leave
 _ONE_FITS = 0.1  # of χ², by which one number may explain less than three
 _TURNED_BACK, _SOON_SURE = 0.15, 6.0  # of a share of 2, as of a reversed motor; χ² enough then
+_LONE, _BESIDE = 0.05, 0.2  # share of χ² that one joint's motion may leave; of what others leave
+_MOST_LACKS, _LEAST_JOINTS = 3.0, 5  # of its torque, behind a rotor; joints that tell one from all
+_STEPS = 3.0  # of an encoder, by which a joint has moved otherwise than before
 _ONSET, _BETTER = 0.02, 12.0  # s, in which no motor is at fault if a load or force explains more χ²
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
 _WEAK, _DEAD = 0.35, 0.65  # share of its torque that a weak or a dead motor lacks
@@ -139,6 +143,10 @@ class Monitor:
         self._stood = np.ones(robot.nv)  # until lately
         self._active: dict[str, int] = {}  # name of a cause → its event
         self._window: deque[_Tick] = deque(maxlen=_WINDOW)
+        # the last looks, as long as each is nearly too far off; how joints moved before, and by how
+        # much they moved otherwise since; the smallest step of their encoders
+        self._lately: list[_Tick] = []
+        self._coasts, self._swept, self._step, self._q = np.zeros((4, robot.nv))
         self._samples: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_SAMPLES)
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
         self._is_outside = False  # what happened to the arm, as its onset tells
@@ -184,6 +192,10 @@ class Monitor:
                 torque = torque + self._adds.g(q)
             self._samples.append((t, q, v, torque))
             h = t - last
+            way = pin.difference(self._robot.model, self._q, q)
+            self._swept = self._swept + way - h * self._coasts
+            self._step = np.where(way == 0.0, self._step, np.minimum(self._step, np.abs(way)))
+            self._q = q
             odd = v - 2.0 * self._v + self._v_before
             odd = np.minimum(odd * odd / 6.0, 9.0 * self._noise + 1e-6)
             self._noise = self._noise + min(5.0 * h, 1.0) * (odd - self._noise)
@@ -298,10 +310,12 @@ class Monitor:
     # -- disturbances ---------------------------------------------------------------------
 
     def _begin(self, t: float, q: Array, v: Array, torque: Array) -> None:
-        self._v = self._v_before = self._smooth_v = v
+        self._v = self._v_before = self._smooth_v = self._coasts = v
+        self._q, self._swept, self._step = q, np.zeros(len(v)), np.full(len(v), math.inf)
         self._begun = self._looked = t
         self._over(t)
         self._samples.clear()
+        self._lately = []
         self._weighed = math.inf
         self._residual, self._smooth_torque = np.zeros(len(v)), torque
         self._impulse = self._shaken = np.zeros(len(v))
@@ -340,19 +354,29 @@ class Monitor:
         off = self._residual - H @ self._estimate
         likely = self._likely(H, off)
         spread = np.einsum("ij,jk,ik->i", likely, self._P, likely) + variance
-        is_off = bool((off**2 / spread).max() > _SURE) and t - self._begun > _BEGINS
+        chi = float((off**2 / spread).max()) if t - self._begun > _BEGINS else 0.0
+        is_off = chi > _SURE
+        tick = _Tick(off, 1.0 / np.sqrt(spread), self._smooth_torque, J, load, likely, variance)
+        self._lately = [*self._lately[-_TESTED:], tick] if chi > _LIKELY else []
+        if not self._lately:
+            self._coasts, self._swept = self._smooth_v, np.zeros(len(off))
         if is_off or self._window:
             if not self._window:
                 self._since, self._lighter = t, float(self._estimate[0])
                 self._is_outside = False
                 self._speed = self._smooth_tip[:3]
             self._quiet = 0.0 if is_off else self._quiet + h
-            tick = _Tick(off, 1.0 / np.sqrt(spread), self._smooth_torque, J, load, likely, variance)
             self._window.append(tick)
             if self._quiet > _ENDS:
                 self._over(t)
             else:
                 self._name(t)
+        is_free = not self._active.keys() & {"motor", "force"}
+        if is_free and 1 < len(self._lately) < _TESTED and (lone := self._lone(self._lately)):
+            if not self._window:
+                self._since, self._quiet = t - h * (len(self._lately) - 1), 0.0
+                self._window.extend(self._lately)
+            self._weak_motor(lone[0], max(lone[1], self._lacks(lone[0])), lone[2])
         lasts = bool(self._window) and t - self._since > _ABSORBED
         if lasts:
             _diagonal(self._P)[:] += _OPENS * self._drift
@@ -451,9 +475,8 @@ class Monitor:
         is_sudden &= not self._is_outside
         least = (_USED + _STUCK * self._stood[j]) * self._scale[j]
         if is_sudden and fits and used > least:
-            if since < _SLOWLY:  # what it will be when the filter has settled
-                last = self._last(min(_SAMPLES // 2, len(self._samples) - 1))
-                share = -float(last.off[j]) / float(last.torque[j] or 1e-12)
+            if since < _SLOWLY:
+                share = self._lacks(j)
             is_clear = share > _DEAD and left < _CLEAR < 0.2 * beside
             if since >= (_SOON if is_clear else _ALONE if alone else _SLOWLY):
                 self._weak_motor(j, share, used)
@@ -465,6 +488,34 @@ class Monitor:
             carried, left_load = _fit(np.swapaxes(load, 1, 2), off, w2, whole, _LEVERS)
             if np.linalg.norm(force) > _LEAST_FORCE:
                 self._force(since, force, left_force, float(carried[0]), left_load)
+
+    def _lone(self, ticks: list[_Tick]) -> tuple[int, float, float] | None:
+        """Return the motor that alone moves its joint otherwise than it is asked to, if one does.
+
+        With a rotor and behind a spring, its momentum is not the believed one. So its torque and
+        acceleration are free in each look: what that leaves to the other joints is compared with
+        what a force at the tip or a load leaves. Returned are the joint, the share of its torque
+        that it lacks (behind a spring roughly), and the torque.
+        """
+        off, weight, torque, J, load, *_ = map(np.array, zip(*ticks, strict=True))
+        w2, z, loads = weight**2, weight * off, np.swapaxes(load, 1, 2)
+        whole, j = float((z**2).sum()), int((z**2).sum(axis=0).argmax())
+        share = -float(off[:, j].sum()) / (float(torque[:, j].sum()) or 1e-12)
+        used = float(abs(torque[-1, j]))
+        # friction may hold a joint, but turns none back
+        stuck = 0.0 if share > 1.0 + _WEAK else _STUCK * self._stood[j]
+        if not (
+            _DEAD < share < _MOST_LACKS and used > (_USED + stuck) * self._scale[j]
+            and abs(self._swept[j]) > _STEPS * self._step[j] and z.shape[1] >= _LEAST_JOINTS
+        ):  # fmt: skip
+            return None
+        rest, moves = np.delete(z, j, axis=1), np.delete(weight * self._M[j], j, axis=1)
+        along, size = (rest * moves).sum(axis=1), (moves**2).sum(axis=1)
+        left = float((rest**2).sum() - (along**2 / np.maximum(size, 1e-12)).sum())
+        beside = min(_fit(J, off, w2, whole)[1], _fit(loads, off, w2, whole, _LEVERS)[1])
+        if whole - left < _SIX_SD or left > whole * min(_LONE, _BESIDE * beside):
+            return None
+        return j, share, used
 
     def explain(self) -> None:
         """Name what made a joint too fast, a motor or a force, if the last samples show it.
@@ -486,7 +537,9 @@ class Monitor:
             least = _SOON_SURE if turns_back else _SURE
             if whole <= least or self._active.keys() & {"motor", "force"}:
                 break
-            if is_motor:
+            if lone := self._lone([ticks[i]]):
+                self._weak_motor(*lone)
+            elif is_motor:
                 self._weak_motor(j, share, float(abs(ticks[i].torque[j])))
             elif left_force < _FITS and np.linalg.norm(force) > _LEAST_FORCE:
                 self._force(_SLOWLY, force, left_force, 0.0, 1.0)
@@ -502,6 +555,12 @@ class Monitor:
         off = gained - 0.5 * (self._rest(q, v) + self._rest(q0, v0)) - H @ self._estimate
         variance = variance + 2.0 / h**2 * self._M**2 @ self._noise
         return _Tick(off, 1.0 / np.sqrt(variance), given, J, load, H, variance)
+
+    def _lacks(self, j: int) -> float:
+        """Return the share of its torque that a motor lacks, before the filter has settled."""
+        since = sum(t > self._since - 0.5 * _TICK for t, *_ in self._samples)
+        last = self._last(min(_SAMPLES // 2, len(self._samples) - 1, max(since, 1)))
+        return -float(last.off[j]) / float(last.torque[j] or 1e-12)
 
     def _weak_motor(self, j: int, share: float, torque: float) -> None:
         gives = "nothing" if share > _DEAD else f"{100.0 * (1.0 - share):.0f} %"

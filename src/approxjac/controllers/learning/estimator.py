@@ -510,8 +510,8 @@ class Frames:
     """Detection of new frames of x and the configurations at which they were taken.
 
     A frame is new by a new `Measurement.t_x`, the time it was taken. If that is None or in the
-    future, it is new by a change of x and was taken `delay` ago. Frames older than the remembered
-    configurations are ignored, and so are those faster than 250 Hz.
+    future, it is new by a change of x and was taken `delay` ago. Frames older than 0.25 s, or twice
+    the delay, are ignored, and so are those faster than 250 Hz.
 
     Its numbers in the state: the last x, the time it was taken, the last t, the offset of its own
     clock to that, the time of the last frame, and (t, q) of the last few hundred milliseconds.
@@ -519,8 +519,9 @@ class Frames:
 
     def __init__(self, robot: Robot, n_x: int, delay: float, dt: float) -> None:
         self._robot, self._delay, self._n_x = robot, delay, n_x
-        self._spacing = max(_SPACING, dt)
-        self._count = math.ceil(max(_HORIZON, 2.0 * delay) / self._spacing) + 2
+        self._spacing = dt * math.ceil(_SPACING / dt - _ROUND_OFF)  # whole periods
+        self._horizon = max(_HORIZON, 2.0 * delay)
+        self._count = math.ceil(self._horizon / self._spacing) + 2
         self._width = 1 + robot.nq
         self._head = n_x + 4
         self.size = self._head + self._count * self._width
@@ -593,7 +594,7 @@ class Frames:
             return None, False
         is_noted = law.complement(passed)
         (oldest,) = self._ring(numbers)[0, :1].tolist()
-        then, is_known = taken - late, oldest < taken
+        then, is_known = taken - late, t - taken <= self._horizon + _ROUND_OFF
         then = law.select(then < t, then, t)
         then = law.select(then > oldest + _ROUND_OFF, then, law.select(is_known, taken, t))
         q, v = self._at(numbers, then, measurement)
