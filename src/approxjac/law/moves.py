@@ -85,6 +85,14 @@ def moving_part(at: Motion, M: Array, G: Array, dG: Array) -> Array:
     return Z
 
 
+def path_rate(J: Array, J_hat: Array, d: Array, B: Array, friction: Array) -> tuple[Array, Array]:
+    """Return dχ/dσ (…, n_v) of the path of a slow robot, and H (…, n_v, m)."""
+    tall = J_hat.mT / B[:, None]
+    H, r = tall @ np.linalg.inv(J @ tall), np.linalg.pinv(J_hat) @ d
+    rubbed = friction / B * r
+    return r - rubbed + (H @ (d - (J @ (r - rubbed)[..., None])[..., 0])[..., None])[..., 0], H
+
+
 class OwnPath(NamedTuple):
     """The path of a slow robot, and the tensors that tell how far a fast one leaves it."""
 
