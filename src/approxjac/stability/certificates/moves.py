@@ -59,6 +59,28 @@ class Tube(NamedTuple):
         return bool((other.R < self.R).all()) and other.e < self.e and other.nu < self.nu
 
 
+class Along(NamedTuple):
+    """Bounds along a move, and integrals over all time: ∫v²dt is `v_v`, and so on.
+
+    n² = |ν|²_D + |w|²_D⁻¹, whose integrals are by the inequality of Cauchy and Schwarz.
+    """
+
+    v: Array  # speed times the step of time, at some instants
+    Y: Array  # of √(2V), at these
+    s: Array  # of |s(e)|
+    bent: float  # e/s(e)
+    nu: float  # |ν|_M
+    energy: float  # ∫n²
+    v_v: float
+    v_s: float
+    a: float  # ∫|v̇|
+    v_n: float
+    s_n: float
+    n: float
+    turned: float  # factor by which a norm changes within a hold
+    dropped: float  # of |g_k − g| in the norm of D⁻¹
+
+
 class MovingForm(SampledForm):
     """The sampled form of a loop whose target moves, and the constants of the theorem.
 
@@ -100,11 +122,6 @@ class MovingForm(SampledForm):
     def _weight(self) -> Array:
         """B of the own path, of which any will do for as many joints as coordinates."""
         return damping_of(self.setting)
-
-    @property
-    def period(self) -> float:
-        """Longest period [s]."""
-        return self.hold.span
 
     def elsewhere(self, samples: Samples) -> MovingForm:
         return self._at(samples, self)
@@ -226,29 +243,27 @@ class MovingForm(SampledForm):
             "held": np.sqrt(((pulls[1] @ inverse) * pulls[1]).sum(axis=-1)),
         }
 
-    def bounds(self, weights: Weights, tube: Tube, weighed: dict[str, Any]) -> Tube:
-        """Return what the formulas return if the constants hold in a tube.
+    def along(self, weights: Weights, tube: Tube, most: dict[str, Any]) -> Along | None:
+        """Return the bounds of V along the move, of the largest constants in a tube.
 
-        `weighed` are the largest of `weighed`. Infinite where F or P is not positive.
+        None where F or P is not positive.
         """
-        most = self.most | weighed
-        n, line, rho, h = len(tube.R), self.line, self.decay[0], self.period
-        nothing = Tube(np.full(n, np.inf), math.inf, math.inf)
+        line, rho, saturation = self.line, self.decay[0], self.setting.saturation
         if not math.isfinite(most["margin"] + most["flat"]) or most["sigma"] >= 1.0:
-            return nothing
-        saturation = self.setting.saturation
+            return None
         errors = np.linspace(0.0, tube.e, _LOOKED)[1:, None] * np.ones(len(weights.w))
-        bent = float((errors / saturation.s(errors)).max())  # e / s(e)
-        slope = float(saturation.ds(errors).min())
-        sigma, tilt = most["sigma"], 1.0 / math.sqrt(1.0 - most["sigma"] ** 2)
-        xi = 1.0 + (1.0 - slope) * sigma * tilt
-        r = np.linspace(0.0, 1.0, _INSTANTS)
-        T, dt = line.duration, line.duration / (_INSTANTS - 1)
+        bent = float((errors / saturation.s(errors)).max())
+        flattest = float(saturation.ds(errors).min())
+        tilt = 1.0 / math.sqrt(1.0 - most["sigma"] ** 2)
+        r, T = np.linspace(0.0, 1.0, _INSTANTS), line.duration
+        dt = T / (_INSTANTS - 1)
         v = 16.0 * line.peak * r**2 * (1.0 - r) ** 2
-        a = np.abs(32.0 * line.peak * r * (1.0 - r) * (1.0 - 2.0 * r)) / T
-        phi, psi = (v**2 * most[f"{k}0"] + a * most[f"{k}1"] + v * most[f"{k}2"] for k in ("f", "psi"))
-        phi = phi + xi * v * most["delta"]
-        noise = weights.multiplier * self._gain * (1.0 + 1.0 / _EPSILON) / (1.0 + _EPSILON) * psi**2
+        a = np.abs(32.0 * line.peak / T * r * (1.0 - r) * (1.0 - 2.0 * r))
+        phi, psi = (
+            v**2 * most[f"{k}0"] + a * most[f"{k}1"] + v * most[f"{k}2"] for k in ("f", "psi")
+        )
+        phi = phi + (1.0 + (1.0 - flattest) * most["sigma"] * tilt) * v * most["delta"]
+        noise = weights.multiplier * self._gain / _EPSILON * psi**2  # (1 + 1/ε) Γ² of it
 
         def faded(rate: float, of: Array) -> Array:
             """∫ e^(−rate (t − t')) of a function, from above."""
@@ -261,44 +276,70 @@ class MovingForm(SampledForm):
             return float(np.trapezoid(of, dx=dt))
 
         Y = faded(rho, phi) + np.sqrt(2.0 * faded(2.0 * rho, noise))
-        energy, left = (float(faded(k, Y * phi + noise)[-1]) * most["margin"] for k in (0.0, 2.0 * rho))
-        s = most["flat"] * Y
-        after = s[-1] ** 2 / (2.0 * rho)
-        # integrals over all time, of n by the inequality of Cauchy and Schwarz
-        root, s_s, v_v = math.sqrt(energy), whole(s**2) + after, whole(v**2)
-        v_n, s_n = root * math.sqrt(v_v), root * math.sqrt(s_s)
-        n_1 = root * math.sqrt(T) + math.sqrt(left / (2.0 * rho))
-        nu = float(Y.max()) * tilt
-        turned = math.exp(0.5 * h * self.turning.damping * (nu + line.peak * most["r"]))
-        g_0 = h * turned * (line.peak * most["gravity of r"] + most["gravity of M"] * nu)
-        drift = bent * (most["dH of r"] * whole(v * s) + most["dH"] * s_n)
+        energy, left = (
+            most["margin"] * float(faded(k, Y * phi + noise)[-1]) for k in (0.0, 2.0 * rho)
+        )
+        s, nu, root = most["flat"] * Y, float(Y.max()) * tilt, math.sqrt(energy)
+        v_v, s_s = whole(v**2), whole(s**2) + s[-1] ** 2 / (2.0 * rho)
+        fastest = nu + line.peak * most["r"]
+        turned = math.exp(0.5 * self.hold.span * self.turning.damping * fastest)
+        dropped = line.peak * most["gravity of r"] + nu * most["gravity of M"]
+        return Along(
+            dt * v, Y, s, bent, nu, energy, v_v, whole(v * s), whole(a), root * math.sqrt(v_v),
+            root * math.sqrt(s_s), root * math.sqrt(T) + math.sqrt(left / (2.0 * rho)), turned,
+            self.hold.span * turned * dropped,
+        )  # fmt: skip
+
+    def drift(self, on: Along, sizes: dict[str, Any]) -> Array:
+        """Return the integral of all that drives a joint off its path, by constants (…, n_v)."""
+        h, length = self.hold.span, self.line.length
+
+        def by(name: str) -> Any:
+            return np.asarray(sizes[name])[..., None]
+
+        drift = on.bent * (sizes["dH of r"] * on.v_s + sizes["dH"] * on.s_n)
         for name, share in (("C", 1.0), ("theta C", 0.5 * h)):
-            own = most[f"{name} of r r"] * v_v + most[f"{name} of r"] * v_n + most[name] * energy
-            drift = drift + share * own
-        for name, first, second in (("dT", 0.5 * h, h), ("dtheta", 0.0, h * h / 8.0)):
-            own, k_s = first + math.sqrt(2.0) * second, second * most["stiffness"]
-            along = own * v_n + k_s * whole(v * s) + second * g_0 * line.length
-            across = own * energy + k_s * s_n + second * g_0 * n_1
-            drift = drift + most[f"{name} of r"] * along + most[name] * across
-        slid = most["rubbed of r"] * line.length + most["rubbed"] * n_1
-        slid = slid + most["turned of r"] * v_v + most["turned"] * v_n + most["still"] * whole(a)
-        held = h * most["T"] + 0.25 * h * h * most["theta"]
-        drop = most["gravity of r"] * line.length + most["gravity"] * n_1
-        drift = drift + 0.5 * h * slid + held * turned * drop
-        # |η|, and what grows along the path
-        size = most["eta"] + 0.5 * h * math.exp(rho * h) * most["held"]
-        eta = size * Y[:, None] + (bent - 1.0) * most["H"] * s[:, None] + most["momentum of r"] * v[:, None]
+            own = sizes[f"{name} of r r"] * on.v_v + sizes[f"{name} of r"] * on.v_n
+            drift = drift + share * (own + sizes[name] * on.energy)
+        for name, first, second in (("dT", 0.5 * h, h), ("dtheta", 0.0, 0.125 * h * h)):
+            both, pulled = first + math.sqrt(2.0) * second, second * by("stiffness")
+            along = both * on.v_n + pulled * on.v_s + second * on.dropped * length
+            across = both * on.energy + pulled * on.s_n + second * on.dropped * on.n
+            drift = drift + sizes[f"{name} of r"] * along + sizes[name] * across
+        slid = sizes["rubbed of r"] * length + sizes["rubbed"] * on.n
+        slid = slid + sizes["turned of r"] * on.v_v + sizes["turned"] * on.v_n
+        drift = drift + 0.5 * h * (slid + sizes["still"] * on.a)
+        lost = by("gravity of r") * length + by("gravity") * on.n
+        drift = drift + (h * sizes["T"] + 0.25 * h * h * sizes["theta"]) * on.turned * lost
+        # and η, by which h differs all along
+        size = sizes["eta"] + 0.5 * h * math.exp(self.decay[0] * h) * sizes["held"]
+        eta = size * (on.v @ on.Y) + (on.bent - 1.0) * sizes["H"] * (on.v @ on.s)
+        eta = eta + sizes["momentum of r"] * on.v_v
+        return np.asarray(drift + (sizes["dh"] @ eta[..., None])[..., 0])
+
+    def bounds(self, weights: Weights, tube: Tube, weighed: dict[str, Any]) -> Tube | None:
+        """Return what the formulas return if the constants hold in a tube.
+
+        `weighed` are the largest of `weighed`. None where F or P is not positive.
+        """
+        most = self.most | weighed
+        on = self.along(weights, tube, most)
+        if on is None:
+            return None
+        h, length = self.hold.span, self.line.length
+        size = most["eta"] + 0.5 * h * math.exp(self.decay[0] * h) * most["held"]
+        away = size * on.Y.max() + (on.bent - 1.0) * most["H"] * on.s.max()
         N = most["dh"].copy()
-        drift = drift + N @ (dt * (v[:, None] * eta).sum(axis=0))
-        step = _exponential(N * line.length / _PARTS)  # of what lies between the parts
-        N[range(n), range(n)] = most["along"]
-        grown, each = np.eye(n), _exponential(N * line.length / _PARTS)
+        between = _exponential(N * length / _PARTS)
+        np.fill_diagonal(N, most["along"])
+        grown, each = np.eye(len(N)), _exponential(N * length / _PARTS)
         reached = grown
         for _ in range(_PARTS):
             grown = each @ grown
             reached = np.maximum(reached, grown)
-        reached = reached @ step
-        return Tube(eta.max(axis=0) + reached @ drift, bent * float(s.max()), nu)
+        away = away + most["momentum of r"] * self.line.peak
+        away = away + reached @ between @ self.drift(on, most)
+        return Tube(away, on.bent * float(on.s.max()), on.nu)
 
 
 def damping_of(setting: Setting) -> Array:
