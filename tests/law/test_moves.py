@@ -58,7 +58,9 @@ class Moving:
         """The derivative along the loop, by a central difference of second order in q."""
 
         def there(t):
-            return function(self.q + t * self.v + 0.5 * t**2 * self.v_dot, self.v + t * self.v_dot, t)
+            return function(
+                self.q + t * self.v + 0.5 * t**2 * self.v_dot, self.v + t * self.v_dot, t
+            )
 
         return (there(1e-5) - there(-1e-5)) / 2e-5
 

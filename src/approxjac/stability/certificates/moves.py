@@ -7,11 +7,11 @@ constants hold, every robot of the box stays in that tube. Constants are the lar
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from approxjac import law
 from approxjac.law import moves, sampled_form
@@ -21,15 +21,12 @@ from approxjac.stability.certificates.matrix_form import (
     SampledForm,
     Setting,
     Weights,
-    best_weights,
 )
 from approxjac.stability.loop.samples import Indices, Samples
 from approxjac.validation import Array
 
-RATES = (0.4, 0.7, 1.1, 1.6, 2.2, 3.0, 4.0)  # ρ that are tried [1/s]
 _EPSILON = 0.1  # of (a + ψ)² ≤ (1 + ε)a² + (1 + 1/ε)ψ²
 _INSTANTS = 300  # of the integrals
-_WORST = 150  # samples that functions are chosen on
 _PARTS = 64  # of the length, at which the growth along it is looked at
 _TERMS, _LOOKED = 12, 50  # of e^A for a part; errors at which s(e) is looked at
 
@@ -100,7 +97,7 @@ class MovingForm(SampledForm):
         form, self.line = MatrixForm(samples, setting), line
         turning = None if known is None else known.turning
         super().__init__(form, friction, hold, nu, 0.0, turning)
-        self.most = largest(self.sizes()) if known is None else known.most
+        self.most: dict[str, Any] = largest(self.sizes()) if known is None else known.most
 
     @cached_property
     def motion(self) -> moves.Motion:
@@ -202,7 +199,9 @@ class MovingForm(SampledForm):
             along = np.einsum("nkij,nk->nij", tensor, on.r)
             sizes[f"d{name} of r"] = np.linalg.norm(along @ side, axis=-1)
             rows = np.moveaxis(tensor, 1, 2)  # [i, k, j]
-            sizes[f"d{name}"] = _norm(root[:, None] @ rows @ (side[:, None] if side.ndim == 3 else side))
+            sizes[f"d{name}"] = _norm(
+                root[:, None] @ rows @ (side[:, None] if side.ndim == 3 else side)
+            )
         for name, rows in {"C": quadratic, "theta C": _first(theta, c)}.items():
             both = 0.5 * (rows + rows.mT)  # of (q̇, q̇)
             one = (both @ on.r[:, None, :, None])[..., 0]
@@ -226,8 +225,7 @@ class MovingForm(SampledForm):
         side = np.zeros((len(at), F.shape[-1], 2 * n))
         side[:, :n, :n], side[:, -n:, n:] = L, root.mT
         margin = np.full(len(at), np.inf)
-        least = np.minimum(np.linalg.eigvalsh(F)[..., 0].min(axis=0), np.linalg.eigvalsh(P)[:, 0])
-        good = least > 0.0
+        good = _are_positive(F).all(axis=0) & _are_positive(P)
         inside = side[good].mT @ np.linalg.solve(F[:, good], side[good])
         margin[good] = np.linalg.eigvalsh(inside)[..., -1].max(axis=0)
         inverse = np.linalg.inv(np.where(good[:, None, None], P, np.eye(P.shape[-1])))
@@ -359,6 +357,15 @@ def _length(x: Array) -> Array:
 def _norm(A: Array) -> Array:
     square = A @ A.mT if A.shape[-2] <= A.shape[-1] else A.mT @ A
     return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(square)[..., -1], 0.0)))
+
+
+def _are_positive(A: Array) -> NDArray[np.bool_]:
+    """Return which matrices of a stack are positive definite, (…)."""
+    try:
+        np.linalg.cholesky(A)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.eigvalsh(A)[..., 0] > 0.0)
+    return np.ones(A.shape[:-2], dtype=bool)
 
 
 def _exponential(A: Array) -> Array:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from approxjac import law
 from approxjac.controllers.gains.gains import Latency
 from approxjac.errors import InvalidInputError
+from approxjac.formatting import display_unit, joined, numbers
 from approxjac.law import moves
 from approxjac.robots import Robot
 from approxjac.robots.traced import moved, positions_at
@@ -34,17 +35,201 @@ if TYPE_CHECKING:
 
 _NODES = 4  # steps of Runge and Kutta along a path
 _NEWTON = 2  # to a given error
-_SAMPLES, _WORST = 600, 150  # of a tube; of these, that functions are chosen on
-_RATES = (0.5, 0.8, 1.2, 1.7, 2.4, 3.3, 4.5)  # ρ that are tried [1/s]
+_SAMPLES, _SOME, _WORST = 600, 200, 100  # of a tube; of these, that functions are chosen on
+_RATES = (0.6, 1.1, 1.7, 2.5, 4.0)  # ρ that are tried [1/s]
 _MULTIPLES = (0.6, 1.0, 1.6)  # of the multiplier that is best for the margin
 _WIDER = 1.08  # times what the formulas return, that is tried next
 _TUBES, _ROUNDS = 12, 6  # until the answer is inside; searches, until one finds nothing
 _STARTS, _STEPS = 3, 5  # of a search for each group of constants
-_FIRST = 0.05  # rad, and share of the length, of the first tube
+_FIRST = 0.05  # rad s: R of the first tube, for a speed of one length a second
 _MOST_R, _MOST_E = 1.0, 0.3  # rad, and share of the length, that are no answer any more
 _SHORTEST = 1.5  # s, of a move as fast as any that is tried
 _SLOWER, _SPEEDS = 0.85, 16  # from one to the next
-_USUAL = 0.2  # m
+_USUAL, _HALF = 0.2, 0.5  # m; c̄
+_PROMISE = (
+    "for every robot of the box, from rest; nothing is assumed about staying; certified (a search "
+    "found nothing against it), not proven"
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Move:
+    """A move along a line, eased from rest to rest, that every robot of the box makes as promised.
+
+    At rest with the target at its tip, each stays within these bounds while the target moves with
+    its feed-forward, and afterwards: nothing is assumed about staying in a region. Certified: a
+    search over robots, places and errors found nothing against it. Not proven.
+
+    Attributes:
+        displacement: Of the target, shape (m,) [unit of the task].
+        speed: Largest speed of the target [unit of the task/s]; 0 if none is certified.
+        duration: Of the move at this speed [s]; infinite at 0.
+        error: Bound of |e| [unit of the task].
+        deviation: Bounds of the distance of each joint from the path that its robot takes if it
+            moves slowly, shape (n_v,) [rad or m].
+        rate: ρ: after the end the bound of |e| falls as exp(−ρt) [1/s].
+        reason: Why no speed is certified; "" if one is.
+        labels: Names of the task's coordinates.
+        units: Units of the task's coordinates, and of the joints.
+    """
+
+    displacement: Array
+    speed: float
+    duration: float
+    error: float
+    deviation: Array
+    rate: float
+    reason: str
+    labels: tuple[str, ...]
+    units: tuple[tuple[str, ...], tuple[str, ...]]
+
+    def __str__(self) -> str:
+        unit = joined(self.units[0])
+        length = float(np.linalg.norm(self.displacement))
+        far = f"{100.0 * length:.3g} cm" if unit == "m" else f"{length:.3g} {unit}"
+        (moving,) = np.nonzero(self.displacement)
+        way = numbers(self.displacement)
+        if len(moving) == 1:
+            way = f"{'+-'[int(self.displacement[moving[0]] < 0.0)]}{self.labels[moving[0]]}"
+        start = f"{far} along {way}"
+        if self.reason:
+            return f"{start}: no speed is certified, {self.reason}"
+        shown, factor = display_unit(unit)
+        joints, away = self.units[1], []
+        for each in dict.fromkeys(joints):
+            most = max(d for d, u in zip(self.deviation, joints, strict=True) if u == each)
+            away.append(f"{most:.2g} {each}")
+        return (
+            f"{start} at up to {self.speed:.2g} {unit}/s ({self.duration:.2g} s): "
+            f"|e| <= {factor * self.error:.2g} {shown}, joints within {' and '.join(away)} of "
+            "their path"
+        )
+
+    def __repr__(self) -> str:
+        return f"Move({self})"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Moves:
+    """Moves from one configuration.
+
+    Attributes:
+        start: The configuration, shape (nq,).
+        moves: One for each displacement.
+    """
+
+    start: Array
+    moves: tuple[Move, ...]
+
+    def __str__(self) -> str:
+        lines = [str(move) for move in self.moves]
+        if any(not move.reason for move in self.moves):
+            lines.append(_PROMISE)
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        return f"Moves({'; '.join(map(str, self.moves))})"
+
+
+def certified_moves(  # noqa: D417  # study is self
+    study: StudiedLoop,
+    displacements: Sequence[Sequence[float]] | Array | None = None,
+    *,
+    start: Sequence[float] | Array | None = None,
+    speed: float | None = None,
+) -> Moves:
+    """Return how fast the target may move along lines, with bounds of |e| and of the joints.
+
+    The target begins at the measured tip of an arm at rest and is eased along each line, as by
+    `Line` or by `control`. Every robot of the box then stays within the bounds. The loop is sampled
+    with the period of its latency. Torque limits are not looked at.
+
+    Args:
+        displacements: Of the target, shape (k, m) or (m,) [unit of the task]; by default 20 cm
+            along each axis of a position, to both sides.
+        start: Configuration at rest, shape (nq,); the middle of the region by default.
+        speed: The largest speed of the target that is asked about [unit of the task/s]; by default
+            the largest that is certified, up to that of a move that takes 1.5 s.
+
+    Raises:
+        InvalidInputError: A law without certificates, gravity that is learnt or not exact, a
+            latency with more than a period, a task that is no vector of positions, joints without
+            damping on a redundant arm, or arguments of the wrong shape.
+    """
+    loop, period = _covered(study)
+    task, robot = loop.controller.task, loop.region.robot
+    if displacements is None:
+        if set(task.units) != {"m"}:
+            raise InvalidInputError(
+                f"displacements must be given for a task in {joined(task.units)}, such as "
+                f"[{', '.join(['1.0'] + ['0.0'] * (task.m - 1))}]",
+                given=displacements,
+            )
+        displacements = _USUAL * np.concatenate([np.eye(task.m), -np.eye(task.m)])
+    ways = as_array("displacements", np.atleast_2d(displacements), ("k", task.m))
+    lengths = np.linalg.norm(ways, axis=1)
+    if not (lengths > 0.0).all():
+        raise InvalidInputError("displacements must not be zero", given=displacements)
+    q0 = loop.region.box.center if start is None else robot.configuration(start, "start")
+    if speed is not None:
+        speed = as_number("speed", speed, above=0.0)
+    found: list[Move] = []
+    for way, length in zip(ways, lengths.tolist(), strict=True):
+        search = MoveSearch(loop, period, q0, np.random.default_rng([study.seed, len(found)]))
+        line = Line(way / length, length, speed or 1.875 * length / _SHORTEST)
+        fast, tube = (
+            search.fastest(line) if speed is None else (speed, search.certified(line, True))
+        )
+        units, n = (task.units, tuple(robot.joint_units)), robot.nv
+        if tube is None:
+            nothing = np.full(n, math.inf)
+            found.append(Move(
+                way, 0.0, math.inf, math.inf, nothing, 0.0, search.reason, task.labels, units
+            ))  # fmt: skip
+            continue
+        at = tube.tube
+        duration, rate = line._replace(peak=fast).duration, tube.function.rate
+        found.append(Move(way, fast, duration, at.e, at.R, rate, "", task.labels, units))
+    return Moves(q0, tuple(found))
+
+
+def _covered(study: StudiedLoop) -> tuple[ClosedLoop, float]:
+    """Return the loop and its period, of what the theorem covers."""
+    loop, latency = study.loop(), study.timing
+    law_, task, sensor = loop.controller, loop.controller.task, loop.plants[0].sensor
+    if law_.adaptation is not None:
+        raise InvalidInputError(
+            "gravity must be known for certified moves, such as by ModelGravity(robot) or "
+            f"NoGravity() for an arm that compensates it; learnt gravity has none, got {law_!r}",
+            given=law_,
+        )
+    loop.require_gravity()
+    if latency != Latency(latency.period):
+        raise InvalidInputError(
+            "latency must have no more than a period for certified moves, such as "
+            f"Latency({latency.period:g}), got {latency!r}",
+            given=latency,
+        )
+    if task.uses_x or task.measured is not task or not sensor.subtracts or task.n_x != task.m:
+        raise InvalidInputError(
+            "task must have errors x - x_d and a Jacobian of q alone for certified moves, such as "
+            f"PositionTask, got {task!r}",
+            given=task,
+        )
+    B = loop.setting.B
+    if task.m < task.robot.nv and not (B > 0.0).all():
+        raise InvalidInputError(
+            "all joints must be damped for certified moves of a redundant arm, by "
+            f"Gains(damping=...) or their friction, got B = {B.tolist()}",
+            given=B,
+        )
+    if loop.setting.saturation.c_bar != _HALF:
+        raise InvalidInputError(
+            "saturation must have c_bar = 0.5 for certified moves, as Linear, Tanh and Sine, got "
+            f"{loop.setting.saturation!r}",
+            given=loop.setting.saturation,
+        )
+    return loop, latency.period
 
 
 class TubeBox:
@@ -67,7 +252,7 @@ class TubeBox:
         different, first, which = np.unique(values, axis=0, return_index=True, return_inverse=True)
         other, truths = loop.of_values(values)
         first, which = first[truths[first] >= 0], which.reshape(-1)
-        path, x0 = _path(other, truths[first], self._q0, self.line)
+        path, x0 = slow_path(other, truths[first], self._q0, self.line)
         rows = np.flatnonzero(truths >= 0)
         place = np.full(len(different), -1)
         place[which[first]] = np.arange(len(first))
@@ -75,7 +260,7 @@ class TubeBox:
         e = self.tube.e * z[rows, d + 1 + self._n :]
         e = e / np.maximum(1.0, np.linalg.norm(z[rows, d + 1 + self._n :], axis=1))[:, None]
         x_d = x0[own] + share[:, None] * self.line.length * self.line.d
-        motion = _between(path[:, own], share) + self.tube.R * z[rows, d + 1 : d + 1 + self._n]
+        motion = between(path[:, own], share) + self.tube.R * z[rows, d + 1 : d + 1 + self._n]
         B, friction = damping_of(loop.setting), loop.plants[0].friction
         for _ in range(_NEWTON):  # to this error, along the way of slow robots
             at = other.terms(truths[rows], _moved(robot, self._q0, motion), x_d)
@@ -91,9 +276,7 @@ class TubeBox:
         return z
 
 
-def _path(
-    loop: ClosedLoop, truths: Indices, q0: Array, line: Line
-) -> tuple[Array, Array]:
+def slow_path(loop: ClosedLoop, truths: Indices, q0: Array, line: Line) -> tuple[Array, Array]:
     """Return motions and their rates along the paths of slow robots, (nodes, k, 2 n_v), and x₀."""
     B, friction, robot = damping_of(loop.setting), loop.plants[0].friction, loop.region.robot
     step = line.length / _NODES
@@ -117,7 +300,7 @@ def _path(
     return np.array(nodes), x0
 
 
-def _between(path: Array, share: Array) -> Array:
+def between(path: Array, share: Array) -> Array:
     """Return motions (N, n_v) at shares (N,) of paths (nodes, N, 2 n_v), by cubics."""
     n, k = path.shape[-1] // 2, np.minimum((share * _NODES).astype(int), _NODES - 1)
     t, all_ = (share * _NODES - k)[:, None], np.arange(len(share))
@@ -132,6 +315,10 @@ def _moved(robot: Robot, q0: Array, motions: Array) -> Array:
     if robot.nq == robot.nv:
         return np.asarray(q0 + motions)
     return np.array([moved(robot, q0, each) for each in motions])
+
+
+class Refused(Exception):
+    """No tube was found, with the reason."""
 
 
 class Function(NamedTuple):
@@ -152,9 +339,12 @@ class Found(NamedTuple):
 class MoveSearch:
     """The search for a tube, and for the largest speed, of moves from one configuration."""
 
-    def __init__(self, loop: ClosedLoop, period: float, q0: Array, rng: np.random.Generator) -> None:
+    def __init__(
+        self, loop: ClosedLoop, period: float, q0: Array, rng: np.random.Generator
+    ) -> None:
         self._loop, self._hold, self._q0, self._rng = loop, Hold.of(Latency(period)), q0, rng
         self._friction = loop.plants[0].friction
+        self.reason = ""  # why the last line was refused
 
     def certified(self, line: Line, searched: bool, known: Found | None = None) -> Found | None:
         """Return a tube for a line, or None if there is none.
@@ -162,11 +352,20 @@ class MoveSearch:
         Constants are those of samples, and if `searched` of the worst that a search finds.
         `known` is what another speed had, to begin with.
         """
+        try:
+            return self._tube(line, searched, known)
+        except Refused as refused:
+            self.reason = str(refused)
+            return None
+
+    def _tube(self, line: Line, searched: bool, known: Found | None) -> Found:
         n = self._loop.region.robot.nv
-        e = 0.1 * _FIRST * line.length
+        first = _FIRST * line.peak / line.length
+        e = 0.1 * first * line.length
         kp = float(np.max(self._loop.setting.kp))
-        tube = Tube(np.full(n, _FIRST), e, math.sqrt(kp) * e)
-        function, hard = None, np.empty((0, TubeBox(self._loop, line, self._q0, tube).size))
+        tube = Tube(np.full(n, first), e, math.sqrt(kp) * e)
+        function, hint = None, None
+        hard = np.empty((0, TubeBox(self._loop, line, self._q0, tube).size))
         if known is not None:
             tube, function, hard = _wider(known.tube), known.function, known.hard
         searches = 0
@@ -174,13 +373,13 @@ class MoveSearch:
             box = TubeBox(self._loop, line, self._q0, tube)
             z = np.concatenate([hard, box.starts(_SAMPLES, self._rng)])
             form = self._form(box, z)
-            if form is None:
-                return None
             answer = None if function is None else self._answer(form, function, tube)
             if answer is None:
-                function, answer = self._function(form, tube)
-            if answer is None or answer.R.max() > _MOST_R or answer.e > _MOST_E * line.length:
-                return None
+                function, answer = self._function(form, tube, function or hint)
+            if answer is None:
+                raise Refused("as no function was found that is positive on the way")
+            if answer.R.max() > _MOST_R or answer.e > _MOST_E * line.length:
+                raise Refused("as the bounds grow without end")
             assert function is not None
             if not tube.holds(answer):
                 tube = _wider(answer)
@@ -190,29 +389,25 @@ class MoveSearch:
             searches += 1
             found = self._worst(box, form, function, tube, z)
             worse = self._form(box, np.concatenate([z, found]))
-            if worse is None:
-                return None
             answer = self._answer(worse, function, tube)
             hard = np.concatenate([hard, found])
             if answer is not None and tube.holds(answer):
                 return Found(answer, function, hard)
             if searches == _ROUNDS:
-                return None
+                raise Refused("as the search found ever worse cases")
             if answer is None:
-                function = None
+                function, hint = None, function
             else:
                 tube = _wider(answer)
-        return None
+        raise Refused("as the bounds grow without end")
 
-    def fastest(self, line: Line, known: Found | None) -> tuple[float, Found | None]:
+    def fastest(self, line: Line, known: Found | None = None) -> tuple[float, Found | None]:
         """Return the largest speed that is certified, up to that of `line`, and its tube."""
         speeds = [line.peak * _SLOWER**k for k in range(_SPEEDS)]
         low, high, best = 0, len(speeds), known
         while low < high:  # the fastest that samples allow
             middle = (low + high) // 2
             found = self.certified(line._replace(peak=speeds[middle]), False, best)
-            if found is None and best is not None:
-                found = self.certified(line._replace(peak=speeds[middle]), False)
             low, high = (low, middle) if found else (middle + 1, high)
             best = found or best
         for speed in speeds[low:]:
@@ -221,27 +416,31 @@ class MoveSearch:
                 return speed, found
         return 0.0, None
 
-    def _form(self, box: TubeBox, z: Array) -> MovingForm | None:
-        """Return the form at points; None where Ĵ is damped, or a joint may reach its limit."""
+    def _form(self, box: TubeBox, z: Array) -> MovingForm:
+        """Return the form at points."""
         try:
             samples, _ = box.samples(z)
-        except InvalidInputError:  # Ĵ loses rank
-            return None
-        if not self._is_usual(samples).all():
-            return None
+        except InvalidInputError as error:
+            raise Refused("as the estimated Jacobian loses rank on the way") from error
+        regular, inside = self._usual(samples)
+        if not regular.all():
+            raise Refused("as some robot may come near a singular pose")
+        if not inside.all():
+            raise Refused("as bounds of a joint reach its limit")
         loop, tube = self._loop, box.tube
         return MovingForm(samples, loop.setting, self._friction, self._hold, box.line, tube.nu)
 
-    def _is_usual(self, samples: Samples) -> NDArray[np.bool_]:
+    def _usual(self, samples: Samples) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where Ĵ and JB⁻¹Ĵᵀ are regular, and where joints are inside their limits."""
         robot, controller = self._loop.region.robot, self._loop.controller
         low, high = robot.position_limits
-        squares = np.linalg.svd(samples.J_hat, compute_uv=False) ** 2
+        squares: Any = np.linalg.svd(samples.J_hat, compute_uv=False) ** 2
         ratio, scale, _ = controller.pinv.singularity
         damped = law.gram_damping(squares[:, -1], squares[:, 0], ratio, scale) > 0.0
         ways = samples.J @ (samples.J_hat.mT / damping_of(self._loop.setting)[:, None])
         at = np.array([positions_at(robot, q) for q in samples.q])
         inside = ((at >= low) & (at <= high)).all(axis=1)
-        return np.asarray(~damped & (np.linalg.det(ways) > 0.0) & inside)
+        return np.asarray(~damped & (np.linalg.det(ways) > 0.0)), np.asarray(inside)
 
     def _with(self, form: MovingForm, rate: float, tube: Tube) -> MovingForm:
         errors = np.linspace(0.0, tube.e, 50)[1:, None] * np.ones(len(form.setting.kp))
@@ -255,22 +454,30 @@ class MoveSearch:
             return None
         return form.bounds(function.weights, tube, largest(form.weighed(function.weights)))
 
-    def _function(self, form: MovingForm, tube: Tube) -> tuple[Function | None, Tube | None]:
-        """Choose the function whose answer is smallest."""
-        best: tuple[float, Function | None, Tube | None] = math.inf, None, None
-        for rate in _RATES:
-            faster = self._with(form, rate, tube)
+    def _function(
+        self, form: MovingForm, tube: Tube, hint: Function | None
+    ) -> tuple[Function | None, Tube | None]:
+        """Choose the function whose answer is smallest, of about the rate of a hint."""
+        best: tuple[float, Function | None] = math.inf, None
+        rates: tuple[float, ...] = _RATES
+        if hint is not None:
+            k = _RATES.index(hint.rate)
+            rates = _RATES[max(k - 1, 0) : k + 2]
+        some = form.take(slice(0, _SOME))
+        for rate in rates:
+            faster = self._with(some, rate, tube)
             if not faster.is_possible():
                 break
             weights = best_weights(faster.take(slice(0, _WORST)), "free").weights
             for multiple in _MULTIPLES if (weights.w > 0.0).all() else ():
                 scaled = weights._replace(multiplier=multiple * weights.multiplier)
                 function = Function(scaled, rate)
-                answer = self._answer(form, function, tube)
+                answer = self._answer(some, function, tube)
                 if answer is not None:
-                    size = float(answer.R.max()) + answer.e / (_FIRST * form.line.length)
-                    best = min(best, (size, function, answer), key=lambda each: each[0])
-        return best[1:]
+                    size = float(answer.R.max()) + answer.e / (_USUAL * form.line.length)
+                    best = min(best, (size, function), key=lambda each: each[0])
+        function_ = best[1]
+        return function_, None if function_ is None else self._answer(form, function_, tube)
 
     def _worst(
         self, box: TubeBox, form: MovingForm, function: Function, tube: Tube, z: Array
@@ -298,7 +505,7 @@ class MoveSearch:
             scored["eta"] = (own["eta"] / most["eta"]).max(axis=-1)
             scored["drift"] = (here.drift(on, own) / scale).max(axis=-1)
             scored["dh"] = ((own["dh"] @ tube.R) / (most["dh"] @ tube.R)).max(axis=-1)
-            usual = self._is_usual(samples)
+            usual = np.logical_and(*self._usual(samples))
             whole = {}
             for name, values in scored.items():
                 whole[name] = np.full(len(points), -np.inf)
