@@ -45,6 +45,7 @@ _FIRST = 0.05  # rad s: R of the first tube, for a speed of one length a second
 _MOST_R, _MOST_E = 1.0, 0.3  # rad, and share of the length, that are no answer any more
 _SHORTEST = 1.5  # s, of a move as fast as any that is tried
 _SLOWER, _SPEEDS = 0.85, 16  # from one to the next
+_TRIED = 6  # with a search, from the fastest that samples allow
 _USUAL, _HALF = 0.2, 0.5  # m; c̄
 _PROMISE = (
     "for every robot of the box, from rest; nothing is assumed about staying; certified (a search "
@@ -410,7 +411,7 @@ class MoveSearch:
             found = self.certified(line._replace(peak=speeds[middle]), False, best)
             low, high = (low, middle) if found else (middle + 1, high)
             best = found or best
-        for speed in speeds[low:]:
+        for speed in speeds[low : low + _TRIED]:
             found = self.certified(line._replace(peak=speed), True, best)
             if found is not None:
                 return speed, found
