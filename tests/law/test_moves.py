@@ -134,3 +134,62 @@ def test_the_own_path_is_left_by_quadratic_terms_alone(name, saturation, seed):
         assert_allclose((ahead.h - behind.h) / 2e-6, path.dh[:, k], atol=1e-6)
         assert_allclose((ahead.H - behind.H) / 2e-6, path.dH[k], atol=1e-6)
         assert_allclose((ahead.T - behind.T) / 2e-6, path.dT[k], atol=1e-6)
+
+
+def test_the_hold_leaves_half_a_period_and_quadratic_terms_as_lemma_5_says():
+    loop = Moving("panda", law.Tanh(0.05), 1)
+    B_n, B_c = loop.plant.friction, loop.law.diagonals.damping
+    B, dynamics, h, steps = B_n + B_c, loop.plant.dynamics, 4e-3, 40
+    dt = h / steps
+
+    def terms_at(q, v, t, u, tau):
+        """Tw, a = TB_cν, the integrand of R, and what |T||w| would be."""
+        M, dM, J, dJ, J_hat, dJ_hat, pinv, _ = loop.at(q, t)
+        path = moves.own_path(J, dJ, J_hat, dJ_hat, pinv, loop.d, B, B_n)
+        speed, r, inverse = SPEED + RATE * t, pinv[0] @ loop.d, np.linalg.inv(M)
+        w, theta = tau - loop.torque(q, v, t) - dynamics.g(q), path.T * B_c @ inverse
+        dT, dM_v = np.einsum("kij,k->ij", path.dT, v), np.einsum("kij,k->ij", dM, v)
+        dtheta, nu = (dT * B_c - theta @ dM_v) @ inverse, v - speed * r
+        C = np.einsum("aij,i->aj", moves.christoffel(dM), v)
+        r_dot = RATE * r + speed * np.einsum("kim,k->im", pinv[1], v) @ loop.d
+        root = np.linalg.cholesky(law.dissipation(J_hat, loop.law.diagonals.kv, B))
+        fallen = np.linalg.norm(np.linalg.solve(root, dynamics.g_gradient(q) @ v))
+        T_D, theta_D = (np.linalg.norm(each @ root, axis=1) for each in (path.T, theta))
+        rest = 0.5 * h * np.abs(dT @ (B_c * nu)) + h * np.abs(dT @ u)
+        rest += (
+            h * h / 8.0 * np.abs(dtheta @ u) + 1.01 * (h * T_D + 0.25 * h * h * theta_D) * fallen
+        )
+        rest += 0.5 * h * np.abs(theta @ (C @ v + B_n * v) + path.T @ (B_c * r_dot))
+        plain = T_D * np.linalg.norm(np.linalg.solve(root, w))
+        return path.T @ w, path.T @ (B_c * nu), rest, plain
+
+    q, v = loop.q, SPEED * loop.at(loop.q, 0.0)[-2][0] @ loop.d
+    whole, rests, plains, largest = (np.zeros(7) for _ in range(4))
+    for k in range(15):
+        u = loop.torque(q, v, k * h)
+        tau, before = u + dynamics.g(q), None
+        for j in range(steps + 1):
+            t = k * h + j * dt
+            Tw, a, rest, plain = terms_at(q, v, t, u, tau)
+            if before is None:
+                a_k = a
+            else:
+                whole, rests, plains = (
+                    total + 0.5 * dt * (one + other)
+                    for total, one, other in zip(
+                        (whole, rests, plains), (Tw, rest, plain), before, strict=True
+                    )
+                )
+                left = np.abs(whole - 0.5 * ((h - j * dt) * a_k + j * dt * a))
+                largest = np.maximum(largest, left / rests)
+            before = (Tw, rest, plain)
+            if j < steps:
+                there = q + 0.5 * dt * v, v + 0.5 * dt * forward(loop, q, v, tau)
+                q, v = q + dt * there[1], v + dt * forward(loop, *there, tau)
+    assert (largest <= 1.0).all()
+    assert largest.max() > 0.1  # and it is no empty bound
+    assert (rests < 0.5 * plains).all()  # of |T||w| far less is left
+
+
+def forward(loop, q, v, tau):
+    return loop.plant.dynamics.forward(q, v, tau - loop.plant.friction * v)
