@@ -7,7 +7,7 @@ places along the path, joints within R and errors within ē.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -41,6 +41,9 @@ _MULTIPLES = (0.6, 1.0, 1.6)  # of the multiplier that is best for the margin
 _WIDER = 1.08  # times what the formulas return, that is tried next
 _TUBES, _ROUNDS = 12, 6  # until the answer is inside; searches, until one finds nothing
 _STARTS, _STEPS = 3, 5  # of a search for each group of constants
+_OF_FUNCTION = ("margin", "flat", "sigma", "eta")
+_OF_LOOP = ("curvature", "damping", "fastest")
+_OF_MOTION = ("r", "turning", "f", "psi", "drift", "dh")
 _FIRST = 0.05  # rad s: R of the first tube, for a speed of one length a second
 _MOST_R, _MOST_E = 1.0, 0.3  # rad, and share of the length, that are no answer any more
 _SHORTEST = 1.5  # s, of a move as fast as any that is tried
@@ -488,42 +491,43 @@ class MoveSearch:
         weighed = largest(form.weighed(weights))
         on = form.along(weights, tube, form.most | weighed)
         assert on is not None
-        most, peak, first = form.most | weighed, form.line.peak, self._rng.permutation(len(z))
-        scale = form.drift(on, most)
+        line, most, first = form.line, form.most | weighed, self._rng.permutation(len(z))
+        scale, usual_a = form.drift(on, most), 3.0 * line.peak / line.duration
 
-        def scores(points: Array) -> dict[str, Array]:
+        def values(here: MovingForm, name: str) -> Array:
+            """Return a group's size in each sample of a form."""
+            if name in _OF_LOOP:
+                return here.constant(name)
+            own = here.weighed(weights) if name in _OF_FUNCTION else here.sizes()
+            if name == "eta":
+                return np.asarray((own["eta"] / most["eta"]).max(axis=-1))
+            if name == "drift":
+                return np.asarray((here.drift(on, most | own) / scale).max(axis=-1))
+            if name == "dh":
+                return np.asarray(((own["dh"] @ tube.R) / (most["dh"] @ tube.R)).max(axis=-1))
+            if name not in ("f", "psi"):
+                return own[name]
+            size = line.peak**2 * own[f"{name}0"] + usual_a * own[f"{name}1"]
+            size = size + line.peak * own[f"{name}2"]
+            if name == "f":
+                size = size + line.peak * np.sqrt((here.motion.delta**2) @ weights.w)
+            return np.asarray(size)
+
+        def score(name: str, points: Array) -> Array:
+            whole = np.full(len(points), -np.inf)
             samples, rows = box.samples(points)
-            scored: dict[str, Array] = {}
-            if not len(rows):
-                return scored
-            here = form.elsewhere(samples)
-            own = here.sizes() | here.weighed(weights)
-            scored = {name: own[name] for name in ("margin", "flat", "sigma", "r", "turning")}
-            scored |= {name: here.constant(name) for name in ("curvature", "damping", "fastest")}
-            for k in ("f", "psi"):
-                scored[k] = peak**2 * own[f"{k}0"] + peak * own[f"{k}2"]
-            scored["f"] = scored["f"] + peak * own["delta"]
-            scored["eta"] = (own["eta"] / most["eta"]).max(axis=-1)
-            scored["drift"] = (here.drift(on, own) / scale).max(axis=-1)
-            scored["dh"] = ((own["dh"] @ tube.R) / (most["dh"] @ tube.R)).max(axis=-1)
-            usual = np.logical_and(*self._usual(samples))
-            whole = {}
-            for name, values in scored.items():
-                whole[name] = np.full(len(points), -np.inf)
-                whole[name][rows] = np.where(usual, values, np.inf)
+            if len(rows):
+                usual = np.logical_and(*self._usual(samples))
+                whole[rows] = np.where(usual, values(form.elsewhere(samples), name), np.inf)
             return whole
 
-        known, found = scores(z), []
-        for name, values in known.items():
-            starts = [z[np.argsort(-values)[: _STARTS - 1]], z[first[:1]]]
+        found, some = [], form.take(slice(0, _SOME))
+        for name in (*_OF_FUNCTION, *_OF_LOOP, *_OF_MOTION):
+            worst = np.argsort(-values(some, name))[: _STARTS - 1]
+            starts = np.concatenate([z[worst], z[first[:1]]])
             first = np.roll(first, -1)
-            score = partial(_only, scores, name)
-            found.append(climb(score, np.concatenate(starts), _STEPS)[0])
+            found.append(climb(partial(score, name), starts, _STEPS)[0])
         return np.concatenate(found)
-
-
-def _only(scores: Callable[[Array], dict[str, Array]], name: str, z: Array) -> Array:
-    return scores(z)[name]
 
 
 def _wider(tube: Tube) -> Tube:
