@@ -129,6 +129,9 @@ def test_the_own_path_is_left_by_quadratic_terms_alone(name, saturation, seed):
     assert_allclose(loop.rate_of(chi), wanted, atol=1e-6 * np.abs(wanted).max())
     assert_allclose(path.T @ J_hat.T, 0.0, atol=1e-12)
     assert_allclose(J @ path.h, loop.d, atol=1e-12)
+    h, H = moves.path_rate(J, J_hat, loop.d, B, friction)
+    assert_allclose(h, path.h, atol=1e-12)
+    assert_allclose(H, path.H, atol=1e-12)
     for k, unit in enumerate(np.eye(len(v))):
         ahead, behind = (own(loop.q + t * unit, 0.0)[0] for t in (1e-6, -1e-6))
         assert_allclose((ahead.h - behind.h) / 2e-6, path.dh[:, k], atol=1e-6)

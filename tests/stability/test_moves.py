@@ -139,6 +139,14 @@ def test_paths_and_errors_of_a_tube_are_those_asked_for():
     assert np.linalg.norm(end.x - begin.x - line.length * line.d) < 2e-5
 
 
+def test_a_tube_holds_another_only_if_all_of_it_is_inside():
+    tube = Tube(np.array([0.1, 0.2]), 0.01, 0.3)
+    assert tube.holds(Tube(0.9 * tube.R, 0.009, 0.2))
+    for other in (Tube(np.array([0.05, 0.2]), 0.009, 0.2), tube._replace(R=0.5 * tube.R)):
+        assert not tube.holds(other)
+    assert not tube.holds(Tube(0.9 * tube.R, 0.009, 0.3))
+
+
 def test_what_the_theorem_does_not_cover_is_refused_with_what_would_be():
     study = study_of("ur5")
     late = aj.Study(study.controller, study.uncertainty, study.region, latency=Latency(1e-3, 1e-3))
@@ -154,9 +162,9 @@ def test_what_the_theorem_does_not_cover_is_refused_with_what_would_be():
 
 
 def test_a_search_finds_worse_than_samples_and_the_answer_has_it():
-    study = study_of("ur5", object_length=(0.0, 0.1), believed_length=0.05)
-    search = MoveSearch(study.loop(), 1e-3, np.array(STARTS["ur5"]), np.random.default_rng(0))
-    line = Line(np.array([0.0, 1.0, 0.0]), 0.2, 0.06)
+    study = study_of("two_link", object_length=(0.0, 0.1), believed_length=0.05)
+    search = MoveSearch(study.loop(), 1e-3, np.array(STARTS["two_link"]), np.random.default_rng(0))
+    line = Line(np.array([0.0, 1.0]), 0.2, 0.06)
     sampled, searched = search.certified(line, False), search.certified(line, True)
     assert not len(sampled.hard)
     assert len(searched.hard)

@@ -335,7 +335,7 @@ class Function(NamedTuple):
 class Found(NamedTuple):
     """A tube that holds all robots, and what it was found with."""
 
-    tube: Tube  # what the formulas return
+    tube: Tube  # what the formulas return, with `_WIDER` to spare for what a search missed
     function: Function
     hard: Array  # points of its box that a search found, shape (s, k)
 
@@ -371,7 +371,7 @@ class MoveSearch:
         function, hint = None, None
         hard = np.empty((0, TubeBox(self._loop, line, self._q0, tube).size))
         if known is not None:
-            tube, function, hard = _wider(known.tube), known.function, known.hard
+            tube, function, hard = known
         searches = 0
         for _ in range(_TUBES):
             box = TubeBox(self._loop, line, self._q0, tube)
@@ -389,14 +389,14 @@ class MoveSearch:
                 tube = _wider(answer)
                 continue
             if not searched:
-                return Found(answer, function, hard)
+                return Found(_spared(answer, tube), function, hard)
             searches += 1
             found = self._worst(box, form, function, tube, z)
             worse = self._form(box, np.concatenate([z, found]))
             answer = self._answer(worse, function, tube)
             hard = np.concatenate([hard, found])
             if answer is not None and tube.holds(answer):
-                return Found(answer, function, hard)
+                return Found(_spared(answer, tube), function, hard)
             if searches == _ROUNDS:
                 raise Refused("as the search found ever worse cases")
             if answer is None:
@@ -532,3 +532,8 @@ class MoveSearch:
 
 def _wider(tube: Tube) -> Tube:
     return Tube(_WIDER * tube.R, _WIDER * tube.e, _WIDER * tube.nu)
+
+
+def _spared(answer: Tube, tube: Tube) -> Tube:
+    spare = _wider(answer)
+    return Tube(np.minimum(spare.R, tube.R), min(spare.e, tube.e), min(spare.nu, tube.nu))
