@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from wrong_loop import closed_loop, terms
 
+import approxjac as aj
 from approxjac import law
 from approxjac.law import moves, sampled_form
 
@@ -16,8 +17,10 @@ class Moving:
     """A wrong loop on its way along a line, with all terms at states near one."""
 
     def __init__(self, name, saturation, seed):
-        self.plant, self.law, rng = closed_loop(name, saturation, seed)
-        n = self.plant.robot.nv
+        plant, self.law, rng = closed_loop(name, saturation, seed)
+        n = plant.robot.nv
+        # unequal, as T takes none of Ĵᵀ's range, where equal friction of r = Ĵ⁺d lies
+        self.plant = aj.Plant(plant.robot, plant.sensor, friction=rng.uniform(0.1, 0.9, n))
         self.q, self.v = rng.uniform(0.3, 1.2, n), rng.normal(size=n)
         self.d = rng.normal(size=self.plant.sensor.m)
         self.x_d = self.plant.sensor.value(self.q) + rng.uniform(-0.1, 0.1, len(self.d))
@@ -110,7 +113,8 @@ def test_the_torque_of_a_move_gains_psi_and_what_is_linear_in_nu(name, saturatio
 
 @pytest.mark.parametrize(("name", "saturation", "seed"), LOOPS)
 def test_the_own_path_is_left_by_quadratic_terms_alone(name, saturation, seed):
-    loop, friction = Moving(name, saturation, seed), closed_loop(name, saturation, seed)[0].friction
+    loop = Moving(name, saturation, seed)
+    friction = loop.plant.friction
     B = loop.law.diagonals.damping + friction
 
     def own(q, t):
