@@ -85,18 +85,19 @@ def test_a_two_link_moves_as_promised_and_too_fast_a_move_is_refused():
     assert refused.reason
 
 
-def test_v_and_the_energy_of_a_run_are_within_the_bounds_of_its_own_constants():
+@pytest.mark.parametrize("speed", [0.1, 0.02])  # where inertia drives e, and where δ does
+def test_v_and_the_energy_of_a_run_are_within_the_bounds_of_its_own_constants(speed):
     """Lemma 3, with the constants of the run itself, so that it is not loose."""
     study, start = study_of("ur5", law.Tanh(0.02)), np.array(STARTS["ur5"])
-    move = type("Asked", (), {"displacement": np.array([0.0, 0.12, 0.05]), "speed": 0.1})
+    move = type("Asked", (), {"displacement": np.array([0.0, 0.12, 0.05]), "speed": speed})
     move.duration = 1.875 * np.linalg.norm(move.displacement) / move.speed
     run = Run(study, start, move, study.uncertainty.corners()[-1])
     record, every = run.run, slice(0, None, 10)
-    q, x_d, v, speed = record.q[every], record.x_d[every], record.v[every], run.speed[every]
+    q, x_d, v = record.q[every], record.x_d[every], record.v[every]
     samples = run.loop.samples_at(np.repeat(run.truths, len(q)), q, x_d)
     hold, friction = Hold.of(study.timing), run.loop.plants[0].friction
     form = MovingForm(samples, run.loop.setting, friction, hold, run.line, 1.0)
-    nu = v - speed[:, None] * form.motion.r
+    nu = v - run.speed[every, None] * form.motion.r
     fastest = np.sqrt(np.einsum("ni,nij,nj->n", nu, samples.M, nu).max())
     form = MovingForm(samples, run.loop.setting, friction, hold, run.line, 1.01 * fastest)
     form = form.changed(decay=(1.1, 0.52))
@@ -112,7 +113,7 @@ def test_v_and_the_energy_of_a_run_are_within_the_bounds_of_its_own_constants():
     bound = np.interp(t, np.linspace(0.0, move.duration, len(on.Y)), on.Y)
     while_moving = t <= move.duration
     ratio = np.sqrt(2.0 * V)[while_moving][5:] / bound[while_moving][5:]
-    assert 0.3 < ratio.max() < 1.0
+    assert 0.2 < ratio.max() < 1.0
     D = law.dissipation(samples.J_hat, run.loop.setting.kv, run.loop.setting.B)
     assert np.trapezoid(np.einsum("ni,nij,nj->n", nu, D, nu), t) < on.energy
     assert np.abs(s).max() < np.abs(on.s).max()

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from approxjac import law
 from approxjac.law import moves, sampled_form
 from approxjac.stability.certificates.matrix_form import (
+    Family,
+    FamilyNumbers,
     Hold,
     MatrixForm,
     SampledForm,
@@ -150,9 +152,20 @@ class MovingForm(SampledForm):
         slope = self.turning.curvature * self.speed + self.line.peak * self.most["turning"]
         return math.sqrt(self._gain) * slope
 
+    def unknowns(self, family: Family) -> FamilyNumbers:
+        """Return the unknowns with any diagonal A₂: damping leaves Q's cross block with it."""
+        numbers, m = MatrixForm.unknowns(self, family), len(self.setting.kp)
+        zero, none, alpha = np.zeros((m, m)), np.zeros(m), self.setting.alpha
+        more = [Weights(zero, alpha * np.diag(row), none) for row in np.eye(m)]
+        start, least = np.append(numbers.start, none), np.append(numbers.least, numbers.least[:m])
+        return self._with_multipliers(
+            FamilyNumbers(numbers.fixed, [*numbers.basis, *more], start, least)
+        )
+
     def _form(self, weights: Weights, Q: Array, G: Array) -> Array:
         F = super()._form(weights, Q, G)
-        dG, k = self._of_samples.dpinv @ weights.A1, Q.shape[-1]
+        of, k = self._of_samples, Q.shape[-1]
+        dG = of.dpinv @ weights.A1 + of.ddamped @ weights.A2
         F[:, :k, :k] -= self.line.peak * moves.moving_part(self.motion, self.samples.M, G, dG)
         return F
 

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 _NODES = 4  # steps of Runge and Kutta along a path
 _NEWTON = 2  # to a given error
 _SAMPLES, _SOME, _WORST = 600, 200, 100  # of a tube; of these, that functions are chosen on
-_RATES = (0.6, 1.1, 1.7, 2.5, 4.0)  # ρ that are tried [1/s]
-_MULTIPLES = (0.6, 1.0, 1.6)  # of the multiplier that is best for the margin
+_RATES = (0.7, 1.2, 1.7, 2.1, 2.5, 3.0)  # ρ that are tried [1/s]
+_MULTIPLES = (0.7, 1.0)  # of the multiplier that is best for the margin
 _WIDER = 1.08  # times what the formulas return, that is tried next
 _TUBES, _ROUNDS = 12, 6  # until the answer is inside; searches, until one finds nothing
 _STARTS, _STEPS = 3, 5  # of a search for each group of constants
