@@ -13,7 +13,7 @@ from approxjac.paths import Line as Path
 from approxjac.robots.traced import motion_between
 from approxjac.stability.certificates.matrix_form import Hold, best_weights
 from approxjac.stability.certificates.moves import Line, MovingForm, Tube, largest
-from approxjac.stability.search.moves import MoveSearch, TubeBox, between, slow_path
+from approxjac.stability.search.certified_moves import MoveSearch, TubeBox, between, slow_path
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
 STARTS = {

@@ -1,7 +1,7 @@
 """`Study`: a controller with possible errors, and all tests of its loop."""
 
+from approxjac.stability.search.certified_moves import certified_moves
 from approxjac.stability.search.map import stability_map
-from approxjac.stability.search.moves import certified_moves
 from approxjac.stability.search.suggested_gains import suggested_gains
 from approxjac.stability.search.tolerance import tolerances
 from approxjac.stability.studied_loop import StudiedLoop

@@ -184,56 +184,56 @@ def certified_moves(  # noqa: D417  # study is self
         fast, tube = (
             search.fastest(line) if speed is None else (speed, search.certified(line, True))
         )
-        units, n = (task.units, tuple(robot.joint_units)), robot.nv
+        most, rate, reason = Tube(np.full(robot.nv, math.inf), math.inf, 0.0), 0.0, search.reason
         if tube is None:
-            nothing = np.full(n, math.inf)
-            found.append(Move(
-                way, 0.0, math.inf, math.inf, nothing, 0.0, search.reason, task.labels, units
-            ))  # fmt: skip
-            continue
-        at = tube.tube
-        duration, rate = line._replace(peak=fast).duration, tube.function.rate
-        found.append(Move(way, fast, duration, at.e, at.R, rate, "", task.labels, units))
+            fast, duration = 0.0, math.inf
+        else:
+            most, rate, reason = tube.tube, tube.function.rate, ""
+            duration = line._replace(peak=fast).duration
+        units = task.units, tuple(robot.joint_units)
+        found.append(Move(way, fast, duration, most.e, most.R, rate, reason, task.labels, units))
     return Moves(q0, tuple(found))
 
 
 def _covered(study: StudiedLoop) -> tuple[ClosedLoop, float]:
     """Return the loop and its period, of what the theorem covers."""
     loop, latency = study.loop(), study.timing
-    law_, task, sensor = loop.controller, loop.controller.task, loop.plants[0].sensor
-    if law_.adaptation is not None:
-        raise InvalidInputError(
-            "gravity must be known for certified moves, such as by ModelGravity(robot) or "
-            f"NoGravity() for an arm that compensates it; learnt gravity has none, got {law_!r}",
-            given=law_,
-        )
+    controller, sensor, setting = loop.controller, loop.plants[0].sensor, loop.setting
+    task, B = controller.task, setting.B
+    is_vector = sensor.subtracts and task.n_x == task.m and task.measured is task
+    of_moves, period = "for certified moves", latency.period
+    for is_covered, wanted, given in (
+        (
+            controller.adaptation is None,
+            f"gravity must be known {of_moves}, by ModelGravity(robot), or by NoGravity(robot) "
+            "for an arm that compensates it",
+            controller,
+        ),
+        (
+            latency == Latency(period),
+            f"latency must have no more than a period {of_moves}, such as Latency({period:g})",
+            latency,
+        ),
+        (
+            is_vector and not task.uses_x,
+            f"task must have errors x - x_d and a Jacobian of q {of_moves}, such as PositionTask",
+            task,
+        ),
+        (
+            task.m == task.robot.nv or (B > 0.0).all(),
+            f"damping must be > 0 in all joints of a redundant arm {of_moves}, or their friction",
+            B.tolist(),
+        ),
+        (
+            setting.saturation.c_bar == _HALF,
+            f"saturation must have c_bar = 0.5 {of_moves}, as Linear, Tanh and Sine",
+            setting.saturation,
+        ),
+    ):
+        if not is_covered:
+            raise InvalidInputError(f"{wanted}, got {given!r}", given=given)
     loop.require_gravity()
-    if latency != Latency(latency.period):
-        raise InvalidInputError(
-            "latency must have no more than a period for certified moves, such as "
-            f"Latency({latency.period:g}), got {latency!r}",
-            given=latency,
-        )
-    if task.uses_x or task.measured is not task or not sensor.subtracts or task.n_x != task.m:
-        raise InvalidInputError(
-            "task must have errors x - x_d and a Jacobian of q alone for certified moves, such as "
-            f"PositionTask, got {task!r}",
-            given=task,
-        )
-    B = loop.setting.B
-    if task.m < task.robot.nv and not (B > 0.0).all():
-        raise InvalidInputError(
-            "all joints must be damped for certified moves of a redundant arm, by "
-            f"Gains(damping=...) or their friction, got B = {B.tolist()}",
-            given=B,
-        )
-    if loop.setting.saturation.c_bar != _HALF:
-        raise InvalidInputError(
-            "saturation must have c_bar = 0.5 for certified moves, as Linear, Tanh and Sine, got "
-            f"{loop.setting.saturation!r}",
-            given=loop.setting.saturation,
-        )
-    return loop, latency.period
+    return loop, period
 
 
 class TubeBox:
