@@ -12,7 +12,7 @@ from approxjac.controllers import Latency
 from approxjac.paths import Line as Path
 from approxjac.robots.traced import motion_between
 from approxjac.stability.certificates.matrix_form import Hold, best_weights
-from approxjac.stability.certificates.moves import Line, MovingForm, Tube, largest
+from approxjac.stability.certificates.moves import EasedLine, MovingForm, Tube, largest
 from approxjac.stability.search.certified_moves import MoveSearch, TubeBox, between, slow_path
 
 PLANE = functools.partial(aj.PositionTask, axes="xz")
@@ -43,7 +43,7 @@ class Run:
 
     def __init__(self, study, start, move, values):
         length = np.linalg.norm(move.displacement)
-        self.line = Line(move.displacement / length, length, move.speed)
+        self.line = EasedLine(move.displacement / length, length, move.speed)
         plant, dt = study.uncertainty.plant(values), study.timing.period
         x0, duration = plant.sensor.value(start), dt * round((move.duration + 1.0) / dt)
         way = Path(x0, x0 + move.displacement, move.duration)
@@ -121,7 +121,7 @@ def test_v_and_the_energy_of_a_run_are_within_the_bounds_of_its_own_constants(sp
 
 def test_paths_and_errors_of_a_tube_are_those_asked_for():
     study = study_of("ur5")
-    loop, line = study.loop(), Line(np.array([0.0, 0.6, 0.8]), 0.15, 0.1)
+    loop, line = study.loop(), EasedLine(np.array([0.0, 0.6, 0.8]), 0.15, 0.1)
     box = TubeBox(loop, line, np.array(STARTS["ur5"]), Tube(np.full(6, 0.02), 0.004, 0.1))
     z = box.starts(60, np.random.default_rng(0))
     samples, rows = box.samples(z)
@@ -165,7 +165,7 @@ def test_what_the_theorem_does_not_cover_is_refused_with_what_would_be():
 def test_a_search_finds_worse_than_samples_and_the_answer_has_it():
     study = study_of("two_link", object_length=(0.0, 0.1), believed_length=0.05)
     search = MoveSearch(study.loop(), 1e-3, np.array(STARTS["two_link"]), np.random.default_rng(0))
-    line = Line(np.array([0.0, 1.0]), 0.2, 0.06)
+    line = EasedLine(np.array([0.0, 1.0]), 0.2, 0.06)
     sampled, searched = search.certified(line, False), search.certified(line, True)
     assert not len(sampled.hard)
     assert len(searched.hard)

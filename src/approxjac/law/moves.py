@@ -29,7 +29,7 @@ def christoffel(dM: Array) -> Array:
     return np.asarray(0.5 * (first + first.mT - dM))
 
 
-class Motion(NamedTuple):
+class MovingTarget(NamedTuple):
     """Terms of a moving target, each for v = 1."""
 
     r: Array  # Ĵ⁺d, shape (…, n_v)
@@ -56,7 +56,7 @@ def motion(
     kp: Array,
     kv: Array,
     friction: Array,  # diagonal of B_n, shape (n_v,)
-) -> Motion:
+) -> MovingTarget:
     """Return the terms of a target that moves along d."""
     r, turned = pinv[0] @ d, (pinv[1] @ d).mT  # (∂Ĵ⁺/∂q_k)d are the columns
     C = np.einsum("...aij,...i->...aj", christoffel(dM), r)
@@ -71,10 +71,10 @@ def motion(
     driven = driven - (dJ_r.mT @ (kp * s)[..., None])[..., 0]
     psi = (pull @ squared[..., None])[..., 0], (D_c @ r[..., None])[..., 0], driven
     f = squared, (M @ r[..., None])[..., 0], friction * r
-    return Motion(r, C, A, delta, f, psi, pull @ (A + C) - half - half.mT)
+    return MovingTarget(r, C, A, delta, f, psi, pull @ (A + C) - half - half.mT)
 
 
-def moving_part(at: Motion, M: Array, G: Array, dG: Array) -> Array:
+def moving_part(at: MovingTarget, M: Array, G: Array, dG: Array) -> Array:
     """Return Z, (…, n_v + m, n_v + m), by which the motion reduces Q at v = 1; affine in G."""
     n, m = G.shape[-2:]
     Z = np.zeros((*G.shape[:-2], n + m, n + m))

@@ -33,7 +33,7 @@ _PARTS = 64  # of the length, at which the growth along it is looked at
 _TERMS, _LOOKED = 12, 50  # of e^A for a part; errors at which s(e) is looked at
 
 
-class Line(NamedTuple):
+class EasedLine(NamedTuple):
     """A target that is eased along a line."""
 
     d: Array  # unit direction, shape (m,)
@@ -92,7 +92,7 @@ class MovingForm(SampledForm):
         setting: Setting,
         friction: Array,
         hold: Hold,
-        line: Line,
+        line: EasedLine,
         nu: float,
         known: MovingForm | None = None,
     ) -> None:
@@ -102,7 +102,7 @@ class MovingForm(SampledForm):
         self.most: dict[str, Any] = largest(self.sizes()) if known is None else known.most
 
     @cached_property
-    def motion(self) -> moves.Motion:
+    def motion(self) -> moves.MovingTarget:
         """The terms of the moving target."""
         at, setting, friction = self.samples, self.setting, self._friction
         return moves.motion(

@@ -23,7 +23,7 @@ from approxjac.law import moves
 from approxjac.robots import Robot
 from approxjac.robots.traced import moved, positions_at
 from approxjac.stability.certificates.matrix_form import Hold, Weights, best_weights
-from approxjac.stability.certificates.moves import Line, MovingForm, Tube, damping_of, largest
+from approxjac.stability.certificates.moves import EasedLine, MovingForm, Tube, damping_of, largest
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Indices, Samples
@@ -145,8 +145,8 @@ def certified_moves(  # noqa: D417  # study is self
     """Return how fast the target may move along lines, with bounds of |e| and of the joints.
 
     The target begins at the measured tip of an arm at rest and is eased along each line, as by
-    `Line` or by `control`. Every robot of the box then stays within the bounds. The loop is sampled
-    with the period of its latency. Torque limits are not looked at.
+    `paths.Line` or by `control`. Every robot of the box then stays within the bounds. The loop is
+    sampled with the period of its latency. Torque limits are not looked at.
 
     Args:
         displacements: Of the target, shape (k, m) or (m,) [unit of the task]; by default 20 cm
@@ -180,7 +180,7 @@ def certified_moves(  # noqa: D417  # study is self
     found: list[Move] = []
     for way, length in zip(ways, lengths.tolist(), strict=True):
         search = MoveSearch(loop, period, q0, np.random.default_rng([study.seed, len(found)]))
-        line = Line(way / length, length, speed or 1.875 * length / _SHORTEST)
+        line = EasedLine(way / length, length, speed or 1.875 * length / _SHORTEST)
         fast, tube = (
             search.fastest(line) if speed is None else (speed, search.certified(line, True))
         )
@@ -242,7 +242,7 @@ class TubeBox:
     A case is a point of [−1, 1]ᵏ.
     """
 
-    def __init__(self, loop: ClosedLoop, line: Line, q0: Array, tube: Tube) -> None:
+    def __init__(self, loop: ClosedLoop, line: EasedLine, q0: Array, tube: Tube) -> None:
         self._loop, self.line, self._q0, self.tube = loop, line, q0, tube
         self.d, self._n, self._m = loop.corners.shape[1], len(tube.R), len(line.d)
         self.size = self.d + 1 + self._n + self._m
@@ -280,7 +280,7 @@ class TubeBox:
         return z
 
 
-def slow_path(loop: ClosedLoop, truths: Indices, q0: Array, line: Line) -> tuple[Array, Array]:
+def slow_path(loop: ClosedLoop, truths: Indices, q0: Array, line: EasedLine) -> tuple[Array, Array]:
     """Return motions and their rates along the paths of slow robots, (nodes, k, 2 n_v), and x₀."""
     B, friction, robot = damping_of(loop.setting), loop.plants[0].friction, loop.region.robot
     step = line.length / _NODES
@@ -350,7 +350,9 @@ class MoveSearch:
         self._friction = loop.plants[0].friction
         self.reason = ""  # why the last line was refused
 
-    def certified(self, line: Line, searched: bool, known: Found | None = None) -> Found | None:
+    def certified(
+        self, line: EasedLine, searched: bool, known: Found | None = None
+    ) -> Found | None:
         """Return a tube for a line, or None if there is none.
 
         Constants are those of samples, and if `searched` of the worst that a search finds.
@@ -362,7 +364,7 @@ class MoveSearch:
             self.reason = str(refused)
             return None
 
-    def _tube(self, line: Line, searched: bool, known: Found | None) -> Found:
+    def _tube(self, line: EasedLine, searched: bool, known: Found | None) -> Found:
         n = self._loop.region.robot.nv
         first = _FIRST * line.peak / line.length
         e = 0.1 * first * line.length
@@ -405,7 +407,7 @@ class MoveSearch:
                 tube = _wider(answer)
         raise Refused("as the bounds grow without end")
 
-    def fastest(self, line: Line, known: Found | None = None) -> tuple[float, Found | None]:
+    def fastest(self, line: EasedLine, known: Found | None = None) -> tuple[float, Found | None]:
         """Return the largest speed that is certified, up to that of `line`, and its tube."""
         speeds = [line.peak * _SLOWER**k for k in range(_SPEEDS)]
         low, high, best = 0, len(speeds), known
@@ -471,6 +473,8 @@ class MoveSearch:
         for rate in rates:
             faster = self._with(some, rate, tube)
             if not faster.is_possible():
+                if rate == _RATES[0]:
+                    raise Refused("as the period is too long for the damping of light joints")
                 break
             weights = best_weights(faster.take(slice(0, _WORST)), "free").weights
             for multiple in _MULTIPLES if (weights.w > 0.0).all() else ():
