@@ -89,6 +89,26 @@ MUTANTS = [
         "tests/stability/test_sampled_test.py",
     ),
     (
+        "a moving target's own Coriolis torque counts half", "law/moves.py",
+        "pull @ (A + C) - half", "pull @ A - half",
+        "tests/law/test_moves.py",
+    ),
+    (
+        "slow paths do without the joints' own friction", "law/moves.py",
+        "friction / B * r", "0.0 * friction / B * r",
+        "tests/law/test_moves.py tests/stability/test_moves.py",
+    ),
+    (
+        "moves are forced by the speed of the target alone", "stability/certificates/moves.py",
+        'v * most["delta"]', '0.0 * v * most["delta"]',
+        "tests/stability/test_moves.py",
+    ),
+    (
+        "a tube is taken though the joints get out of it", "stability/certificates/moves.py",
+        "bool((other.R < self.R).all()) and ", "",
+        "tests/stability/test_moves.py",
+    ),
+    (
         "decay of the least V in place of V", "stability/certificates/matrix_form.py",
         "weights.block(largest))", "weights.block(self.setting.saturation.c_bar))",
         "tests/stability/test_sampled_test.py",

@@ -35,10 +35,6 @@ from approxjac.law.conditions import lambda_2 as lambda_2
 from approxjac.law.conditions import largest_allowed_p as largest_allowed_p
 from approxjac.law.conditions import largest_alpha as largest_alpha
 from approxjac.law.detour import Detour as Detour
-from approxjac.law.images import image_turn as image_turn
-from approxjac.law.images import ray_basis as ray_basis
-from approxjac.law.images import ray_jacobian as ray_jacobian
-from approxjac.law.images import rays as rays
 from approxjac.law.limits import AskedTorque as AskedTorque
 from approxjac.law.limits import JointRange as JointRange
 from approxjac.law.limits import Rows as Rows
@@ -82,10 +78,14 @@ from approxjac.law.rotation import best_rotation as best_rotation
 from approxjac.law.rotation import cross_matrix as cross_matrix
 from approxjac.law.rotation import explained as explained
 from approxjac.law.rotation import generators as generators
+from approxjac.law.rotation import image_turn as image_turn
 from approxjac.law.rotation import log_rate as log_rate
 from approxjac.law.rotation import most_explained as most_explained
 from approxjac.law.rotation import nearest_rotation as nearest_rotation
 from approxjac.law.rotation import quaternion as quaternion
+from approxjac.law.rotation import ray_basis as ray_basis
+from approxjac.law.rotation import ray_jacobian as ray_jacobian
+from approxjac.law.rotation import rays as rays
 from approxjac.law.rotation import rotation_between as rotation_between
 from approxjac.law.rotation import rotation_exp as rotation_exp
 from approxjac.law.rotation import rotation_information as rotation_information

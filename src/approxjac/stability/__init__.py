@@ -13,6 +13,8 @@ from approxjac.stability.rollouts.rollouts import Execution as Execution
 from approxjac.stability.rollouts.rollouts import Rollouts as Rollouts
 from approxjac.stability.rollouts.setting import Rollout as Rollout
 from approxjac.stability.rollouts.setting import RolloutSetting as RolloutSetting
+from approxjac.stability.search.certified_moves import Move as Move
+from approxjac.stability.search.certified_moves import Moves as Moves
 from approxjac.stability.search.map import StabilityMap as StabilityMap
 from approxjac.stability.search.suggested_gains import Suggestion as Suggestion
 from approxjac.stability.search.tolerance import Tolerance as Tolerance

@@ -303,7 +303,7 @@ class ClosedLoop:
         one target it is moved to. Left out are robots that cannot exist, configurations that are
         not in the region or not seen, and those where Ĵ loses rank.
         """
-        other, which = self._of_values(values)
+        other, which = self.of_values(values)
         kept = np.array([k >= 0 for k in which])
         moved = q
         if self.target is not None and ends is None:
@@ -355,7 +355,7 @@ class ClosedLoop:
         is_own = not features(sensor) and type(sensor).visible is not Task.visible
         return is_own or image_feature(sensor) is not None
 
-    def _of_values(self, values: Array) -> tuple[ClosedLoop, Indices]:
+    def of_values(self, values: Array) -> tuple[ClosedLoop, Indices]:
         """Return this loop with the true robots of some values; and which is whose, −1 if none."""
         different, which = np.unique(values, axis=0, return_inverse=True)
         other, which = copy.copy(self), which.reshape(-1)

@@ -43,6 +43,7 @@ class Terms:
     x: Array  # of the sensor, shape (N, n_x)
     e: Array  # shape (N, m)
     J: Array  # of the sensor, without what a controller is to assume in it, shape (N, m, n_v)
+    dJ: Array  # ∂J/∂q_k, shape (N, n_v, m, n_v), k first
     J_hat: Array  # Ĵ, shape (N, m, n_v)
     dJ_hat: Array  # ∂Ĵ/∂q_k, shape (N, n_v, m, n_v), k first; of no task that uses x
     M: Array  # inertia matrix of the true robot, shape (N, n_v, n_v)
@@ -113,7 +114,10 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
             return np.stack([rates(of, way) for way in ways])
 
         dJ_hat = np.zeros((robot.nv, *J_hat.shape)) if task.uses_x else gradient(J_hat)
-        terms = Terms(x, tasks.error(own, x, x_d), J, J_hat, dJ_hat, M, gradient(M), g, gradient(g))
+        terms = Terms(
+            x, tasks.error(own, x, x_d), J, gradient(J), J_hat, dJ_hat, M, gradient(M), g,
+            gradient(g),
+        )  # fmt: skip
         self._shapes = {name: np.shape(each) for name, each in vars(terms).items()}
         program.step(vars(terms))
         self._lanes = LlvmLanes(program, effort=0)
@@ -190,7 +194,8 @@ def terms_alone(plant: Plant, dynamics: Dynamics, task: Task, q: Array, x_d: Arr
     sensor, shape = plant.sensor, (task.robot.nv, task.m, task.robot.nv)
     x = sensor.value(q)
     dJ_hat = np.zeros(shape) if task.uses_x else jacobian_gradient(task, q)
+    dJ = np.zeros(shape) if sensor.uses_x else jacobian_gradient(sensor, q)
     return Terms(
-        x, sensor.error(x, x_d), sensor.sensor_jacobian(q), task.jacobian(q, x), dJ_hat,
+        x, sensor.error(x, x_d), sensor.sensor_jacobian(q), dJ, task.jacobian(q, x), dJ_hat,
         dynamics.M(q), dynamics.M_gradient(q), dynamics.g(q), dynamics.g_gradient(q),
     )  # fmt: skip
