@@ -103,6 +103,24 @@ def test_it_repeats_bit_by_bit(tmp_path):
         assert one == other
 
 
+def test_moves_are_told_and_kept(tmp_path, capsys):
+    stability(
+        tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.5", "1.2", "--kp", "60",
+        "--kv", "20", "--damping", "5", "--moves", "0.1", "--configurations", "20", "--runs", "0",
+        "--map-points", "0",
+    )  # fmt: skip
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "10 cm along +x at up to" in shown
+    assert "for every robot of the box, from rest" in shown
+    moves = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["moves"]
+    ways = [move["displacement"] for move in moves]
+    assert ways == [[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]
+    for move in moves:
+        assert (move["speed"] > 0.0) == (move["reason"] == "")
+        assert f"|e| <= {1e3 * move['error']:.2g} mm" in shown or move["reason"]
+    assert any(move["speed"] > 0.0 for move in moves)
+
+
 @pytest.mark.long
 def test_what_is_not_certified_says_what_to_change(tmp_path, capsys):
     code = stability(
