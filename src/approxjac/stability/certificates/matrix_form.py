@@ -268,13 +268,15 @@ class _OfSamples(NamedTuple):
     ddamped: Array
 
 
-def best_weights(form: MatrixForm, family: Family, known: Best | None = None) -> Best:
+def best_weights(
+    form: MatrixForm, family: Family | FamilyNumbers, known: Best | None = None
+) -> Best:
     """Choose the Lyapunov function of a family whose least margin is largest.
 
     The worst samples are collected until no other one is worse. `known` is the best for the first
     samples, to start from.
     """
-    unknowns = form.unknowns(family)
+    unknowns = form.unknowns(family) if isinstance(family, str) else family
     N = len(form.samples)
     y, cuts = unknowns.start, np.empty((2, 0, 1 + len(unknowns.start)))
     active = np.unique(np.linspace(0, N - 1, _ACTIVE).astype(int))
