@@ -81,6 +81,7 @@ def test_files_become_an_arm(arm, files, tmp_path, capsys):
     assert str(out / "report.html") in said
 
 
+@pytest.mark.study
 def test_the_arm_is_judged_with_its_covariance(files, tmp_path, capsys, monkeypatch):
     """From the recordings to the report, and from any folder."""
     out = tmp_path / "as it is"

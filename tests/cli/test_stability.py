@@ -103,6 +103,7 @@ def test_it_repeats_bit_by_bit(tmp_path):
         assert one == other
 
 
+@pytest.mark.study
 def test_moves_are_told_and_kept(tmp_path, capsys):
     stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.5", "1.2", "--kp", "60",
