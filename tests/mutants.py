@@ -26,6 +26,7 @@ STARTS = "tests/realtime/test_fast_starts.py"
 FORM = "tests/law/test_sampled_form.py"
 BOUNDS = "tests/controllers/test_learning_bounds.py"
 WATCHES = "tests/realtime/test_watches.py"
+STICTION = "tests/realtime/test_stiction.py"
 CONTROL = "tests/realtime/test_control.py"
 MONITOR = "tests/simulation/test_monitor.py"
 DRIVERS = "tests/realtime/test_drivers.py"
@@ -1963,13 +1964,13 @@ MUTANTS = [
     ),
     (
         "pushed in one direction", "realtime/watches.py",
-        "led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)",
-        "led, pushed = np.abs(self._way), self._command - self._held_by", WATCHES,
+        "led, pushed = np.abs(self._way), np.abs(self._push - self._held_by)",
+        "led, pushed = np.abs(self._way), self._push - self._held_by", WATCHES,
     ),
     (
         "led in one direction", "realtime/watches.py",
-        "led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)",
-        "led, pushed = self._way, np.abs(self._command - self._held_by)", WATCHES,
+        "led, pushed = np.abs(self._way), np.abs(self._push - self._held_by)",
+        "led, pushed = self._way, np.abs(self._push - self._held_by)", WATCHES,
     ),
     (
         "clock that stood still once", "realtime/watches.py",
@@ -2297,8 +2298,44 @@ MUTANTS = [
     ),
     (
         "a fall in waves is not braked", "realtime/watches.py",
-        "2.0 * self._fallen > self._falls * gained", "self._fallen > self._falls * gained",
-        WATCHES,
+        "2.0 * self._fallen > since *", "self._fallen > since *", WATCHES,
+    ),
+    (
+        "a fall is seen at once", "realtime/watches.py",
+        "self._falls - self._lag / self._dt", "self._falls", WATCHES,
+    ),
+    (
+        "a step of an encoder is a fall", "realtime/watches.py",
+        "gained - self._peak, 0.0", "gained, 0.0", WATCHES,
+    ),
+    (
+        "a fall is over at once", "realtime/watches.py",
+        "gained * is_braked)", "0.0 * gained)", WATCHES,
+    ),
+    (
+        "a joint that is led by a torque must move", "realtime/watches.py",
+        "_WAY * coarse if commands_velocity else np.full(n, np.inf)", "_WAY * coarse", STICTION,
+    ),
+    (
+        "gravity pushes a joint that stands", "realtime/watches.py",
+        "self._push = command - self._dynamics.g(self._last.q)", "pass", STICTION,
+    ),
+    (
+        "gravity that a robot adds pushes", "realtime/watches.py",
+        "if commands_velocity or adds_gravity else", "if commands_velocity else", STICTION,
+    ),
+    (
+        "a step of an encoder is a push", "realtime/watches.py",
+        "self._stood > self._settles", "self._stood > 0.0", STICTION,
+    ),
+    (
+        "a jump is not explained", "realtime/robot_loop.py",
+        "if self.fault in (*_FAST, Fault.POSITION_JUMPED):", "if self.fault in _FAST:", WATCHES,
+    ),
+    (
+        "a jump explains itself", "realtime/robot_loop.py",
+        "(fault is None or fault in _FAST)",
+        "(fault is None or fault in (*_FAST, Fault.POSITION_JUMPED))", WATCHES,
     ),
     (
         "frames are remembered longer than is said", "controllers/learning/estimator.py",

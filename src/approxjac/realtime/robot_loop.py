@@ -77,7 +77,7 @@ class RobotLoop(Loop):
         self._control()
         self._watch = FaultWatch(
             robot, self.dt, tolerances.accuracy, np.minimum(robot.velocity_limits, fastest),
-            tolerances.max_period, driver.command == "velocity",
+            tolerances.max_period, driver.command == "velocity", plant.adds_gravity is not None,
         )  # fmt: skip
         self.monitor = Monitor(controller, plant.adds_gravity)  # of what happens to the arm
         self._watch_sensor()
@@ -129,7 +129,8 @@ class RobotLoop(Loop):
         fault = self._watch.commanded(command, self.answer.reference)
         self._note(fault, self._watch.detail)
         if self._brakes():
-            if self.fault in _FAST:  # by what, if that can be seen
+            # by what, if that can be seen: of a jump, by the samples before it
+            if self.fault in (*_FAST, Fault.POSITION_JUMPED):
                 count = len(self.monitor.events)
                 self.monitor.explain()
                 for event in self.monitor.events[count:]:

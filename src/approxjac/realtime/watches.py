@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac.controllers.guard import usual_accelerations
 from approxjac.interface import Measurement
 from approxjac.realtime.faults import Accuracy, Fault
-from approxjac.robots import Robot
+from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
@@ -38,12 +38,13 @@ _GROWTH, _STEPS, _TIME = 1.4, 5, 0.03  # of speed, over so many times of so many
 
 
 class FaultWatch:
-    """Consistency checks of q, q̇, the clock and commands, without a dynamic model.
+    """Consistency checks of q, q̇, the clock and commands, without a dynamic model but gravity.
 
     Thresholds come from noise, the largest joint speeds `fastest` (n_v,) and the period; two states
     may be at most `late` [s] apart. They are narrower than those of `controllers.Guard`, which
-    knows no noise of q̇ and lets impacts pass, and a run ends at the first fault. `detail` says
-    which joint is at fault, and by how much.
+    knows no noise of q̇ and lets impacts pass, and a run ends at the first fault. Believed gravity
+    is no torque that a joint at rest has to answer, unless the robot `adds_gravity` itself.
+    `detail` says which joint is at fault, and by how much.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class FaultWatch:
         fastest: Array,
         late: float,
         commands_velocity: bool,
+        adds_gravity: bool = False,
     ) -> None:
         n = robot.nv
         self._robot, self._model, self._is_vector = robot, robot.model, robot.nq == n
@@ -63,6 +65,9 @@ class FaultWatch:
         self._q_noise = _SIGMAS * np.sqrt(2.0) * sd
         self._v_noise = _SIGMAS * np.broadcast_to(np.asarray(accuracy.v, float), n)
         self._lag = 1.5 * accuracy.velocity_filter + 0.5 * dt
+        # of q̇: what is stated, or what one step of the encoder makes of it in the filter, if less
+        step = math.sqrt(12.0) * sd / (accuracy.velocity_filter + dt)
+        self._peak = np.minimum(self._v_noise, step)
         known = np.where(np.isfinite(fastest), fastest, 3.0)
         self._q_jump = self._q_noise + 0.6 * dt * known
         self._v_jump = np.sqrt(2.0) * self._v_noise + _SUDDEN * known * (dt / 1e-3)
@@ -73,16 +78,19 @@ class FaultWatch:
         self._unknown = self._still = 0
         self._halted = np.zeros(n)  # the speed at which a joint stopped, else 0
         self._last: Measurement | None = None
-        # a command that a joint at rest must answer: a change of torque, or a way
+        # a command that a joint at rest must answer: a change of torque beside gravity, or a way
         self._commands_velocity = commands_velocity
+        self._dynamics = None if commands_velocity or adds_gravity else Dynamics(robot)
         usual = accuracy.stiction is None
         stiction = 0.05 * robot.effort_limits if usual else np.asarray(accuracy.stiction, float)
         self._answered = np.full(n, np.inf) if commands_velocity else 2.0 * stiction
-        self._way, self._asked, self._stood = np.zeros((3, n))
+        self._way, self._stood = np.zeros((2, n))
         coarse = np.maximum(1.0, sd / _FINE)  # a slow joint takes long from step to step
         self._stands = np.maximum(_REPEATS, np.round(_STANDS * coarse / dt))
-        self._most_led = _WAY * coarse
-        self._command, self._held_by, self._led, self._recent = np.zeros((4, n))
+        # friction may hold one that is led by torques; what q̇ of its last step adds to them fades
+        self._most_led = _WAY * coarse if commands_velocity else np.full(n, np.inf)
+        self._settles = math.ceil(3.0 * accuracy.velocity_filter / dt)
+        self._command, self._push, self._held_by, self._led, self._recent = np.zeros((5, n))
         self._fades = math.exp(-dt / _FADES)
         self._faster = np.maximum(_FASTER * fastest, [_SLOW[unit] for unit in self._units])
         # of a fall as it begins: |q̇| at first, the sum of what it gained, how often, until when
@@ -122,22 +130,26 @@ class FaultWatch:
 
     def commanded(self, command: Array, reference: Array | None) -> Fault | None:
         """Return the fault of a joint that is faster than recent commands explain."""
-        self._command = command
-        if len(self._past) == 1:  # the torque that holds a joint at rest from the beginning
-            self._held_by = command
-        wanted = np.zeros_like(command) if reference is None else reference
-        self._asked, led = command if self._commands_velocity else wanted, np.abs(wanted)
+        self._command = self._push = command
+        if self._dynamics is not None and self._last is not None:
+            self._push = command - self._dynamics.g(self._last.q)
+        if len(self._past) == 1:  # what holds a joint at rest from the beginning
+            self._held_by = self._push
+        led = np.abs(np.zeros_like(command) if reference is None else reference)
         self._led = led + led.max()  # joints need not share the motion as it is led
         if reference is None or self._unknown or self._last is None:
             return None
         self._recent = np.maximum(self._fades * self._recent, self._led + led)
-        v, most = self._last.v, self._recent + self._faster
+        v, most = self._last.v, self._recent + self._faster + self._peak
         if self._last.t < self._lands:  # let go with a load that is not known, it falls at first
             gained = np.abs(v) - self._released
             self._fallen, self._falls = self._fallen + gained, self._falls + 1
-            # by the mean of what it gained, as a joint with springs falls in waves
-            is_braked = 2.0 * self._fallen > self._falls * gained
+            # by the mean of what it gained, as a joint with springs falls in waves, and q̇ lags
+            since = self._falls - self._lag / self._dt
+            is_braked = 2.0 * self._fallen > since * np.maximum(gained - self._peak, 0.0)
             most = np.where(is_braked, np.maximum(most, _FALL * self._fastest), most)
+            if self._last.t + 1.5 * self._dt > self._lands:  # then it is slower and slower
+                self._recent = np.maximum(self._recent, gained * is_braked)
         return self._too_fast(v, most)
 
     def _too_fast(self, v: Array, most: Array) -> Fault | None:
@@ -201,9 +213,9 @@ class FaultWatch:
         if frozen.any():
             j = int(frozen.argmax())
             return self._fault(Fault.ENCODER_FROZEN, j, f"{_REPEATS} times the same q")
-        self._way = np.where(same, self._way + self._dt * self._asked, 0.0)
-        self._held_by = np.where(same, self._held_by, self._command)
-        led, pushed = np.abs(self._way), np.abs(self._command - self._held_by)
+        self._way = np.where(same, self._way + self._dt * self._command, 0.0)
+        self._held_by = np.where(self._stood > self._settles, self._held_by, self._push)
+        led, pushed = np.abs(self._way), np.abs(self._push - self._held_by)
         unanswered = (led > self._most_led) | (pushed > self._answered)
         unanswered &= self._stood >= self._stands
         if not unanswered.any():
