@@ -255,6 +255,7 @@ def test_no_unstable_target_is_certified(seed):
 
     samples = Samples(
         x=np.zeros((1, m)), e=np.zeros((1, m)), J=J, J_hat=J_hat, dJ_hat=np.zeros((1, n, m, n)),
+        dJ=np.zeros((1, n, m, n)),
         M=M[None], dM=np.zeros((1, n, n, n)), g=np.zeros((1, n)), dg=np.zeros((1, n, n)),
         truth=np.zeros(1, dtype=int), q=np.zeros((1, n)), x_d=np.zeros((1, m)), J_e=J,
         s=np.zeros((1, m)), slope=np.ones((1, m)),
