@@ -1,4 +1,4 @@
-"""Certified moves: bounds of |e| and of the joints while the target moves along a line.
+"""Certified moves: bounds of ‖e‖ and of the joints while the target moves along a line.
 
 The theorem of `docs/theory.md`, "Moves": if its formulas return less than the tube in which their
 constants hold, every robot of the box stays in that tube. Constants are the largest of samples.

@@ -68,10 +68,10 @@ class Move:
         displacement: Of the target, shape (m,) [unit of the task].
         speed: Largest speed of the target [unit of the task/s]; 0 if none is certified.
         duration: Of the move at this speed [s]; infinite at 0.
-        error: Bound of |e| [unit of the task].
+        error: Bound of ‖e‖ [unit of the task].
         deviation: Bounds of the distance of each joint from the path that its robot takes if it
             moves slowly, shape (n_v,) [rad or m].
-        rate: ρ: after the end the bound of |e| falls as exp(−ρt) [1/s].
+        rate: ρ: after the end the bound of ‖e‖ falls as exp(−ρt) [1/s].
         reason: Why no speed is certified; "" if one is.
         labels: Names of the task's coordinates.
         units: Units of the task's coordinates, and of the joints.
@@ -142,7 +142,7 @@ def certified_moves(  # noqa: D417  # study is self
     start: Sequence[float] | Array | None = None,
     speed: float | None = None,
 ) -> Moves:
-    """Return how fast the target may move along lines, with bounds of |e| and of the joints.
+    """Return how fast the target may move along lines, with bounds of ‖e‖ and of the joints.
 
     The target begins at the measured tip of an arm at rest and is eased along each line, as by
     `paths.Line` or by `control`. Every robot of the box then stays within the bounds. The loop is
