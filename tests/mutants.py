@@ -1616,7 +1616,7 @@ MUTANTS = [
     ),
     (
         "first command from rest", "controllers/tracking.py",
-        "return np.concatenate([v, q, v])",
+        "return np.concatenate([v, moved(self._robot, q, -self._dt * v), v])",
         "return np.concatenate([0.0 * v, q, v])", "tests/controllers/test_tracking.py",
     ),
     (

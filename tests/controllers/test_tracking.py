@@ -656,6 +656,16 @@ def test_the_first_command_goes_on_from_the_speed_that_there_is(panda):
         assert (np.abs(answer.torque - v) <= change + 1e-12).all()
 
 
+@pytest.mark.parametrize("name", ["panda", "kinova"])
+def test_an_arm_that_moves_as_wanted_from_the_start_shows_no_lag(name, rng):
+    robot, dt = aj.load_robot(name), 8e-3
+    command = VelocityCommand(robot, aj.Limits.of(robot).for_joints(robot.nv), dt)
+    q = robot.random_configuration(rng)
+    v, w = np.full(robot.nv, 0.2), rng.normal(size=robot.nv)
+    lag, _ = command.step(np.array([0.02]), command.start(q, v), q, v, 0.1 * w)
+    assert_allclose(lag, 0.02, atol=1e-12)
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_beside_continuous_joints_others_are_slowed_down_at_their_stops(side):
     robot = aj.load_robot("kinova")

@@ -638,8 +638,8 @@ class VelocityCommand:
         self.n_state = 2 * robot.nv + robot.nq
 
     def start(self, q: Array, v: Array) -> Array:
-        """Return the memory before the first step."""
-        return np.concatenate([v, q, v])
+        """Return the memory before the first step, as if q̇ had been so for a period."""
+        return np.concatenate([v, moved(self._robot, q, -self._dt * v), v])
 
     def step(
         self, state: Array, memory: Array, q: Array, v_r: Array, w: Array
