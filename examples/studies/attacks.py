@@ -1,7 +1,7 @@
 """Runs and samples that a certificate of the sampled loop is held against."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -9,16 +9,12 @@ import uneven
 from certify import lyapunov
 
 import approxjac as aj
-from approxjac.stability.certificates.attraction import slower, travels
-from approxjac.stability.certificates.matrix_form import Hold, MatrixForm, SampledForm
-from approxjac.stability.errors.region import Region
-from approxjac.stability.loop.closed_loop import SHARED, ClosedLoop
-from approxjac.stability.rollouts.setting import RolloutSetting, with_engine
+from approxjac.stability.loop.closed_loop import ClosedLoop
+from approxjac.stability.rollouts.setting import with_engine
 
 OF_EACH = 5  # linearisations of a true robot
 STEPS = 600  # of a recorded run [periods]
 MOVING = (0.3, 0.9)  # V at the start of an arm that moves, over c
-RATED = 400  # fresh samples of the bound of the drift
 LONGEST, DURATION = 2000, 2.0  # of rollouts, whichever is less [periods, s]
 
 
@@ -91,31 +87,6 @@ def moved(controller, plant, region, test, latency, rng, kicked):
     return rise(controller, plant, region, test, record, target)
 
 
-def rated(loop, test, found, latency, rng):
-    """Return what bounds the drift in fresh samples over what does in those that were used."""
-    seen, old = loop.draw(RATED, rng, inside=SHARED), test.form
-    form = SampledForm(
-        MatrixForm(seen, loop.setting), loop.plants[0].friction, Hold.of(latency), old.speed,
-        old.most_s,
-    )  # fmt: skip
-    bounds = travels(slower(form), found.weights, found.rate)
-    return (bounds / found.travel).max(axis=1)
-
-
-def drifted(controller, plant, region, test, found, latency, rng):
-    """Return the largest drift of a joint from a certified start over its bound, if it has one."""
-    near = aj.JointBox.around(plant.robot, region.center, found.radius)
-    q, end = near.sample(2, rng)
-    target = plant.sensor.value(end)
-    e = plant.sensor.error(plant.sensor.value(q), target)
-    V = float(found.weights.at_rest(e, controller.saturation))
-    if slower(test.form).level(found.weights) < V:
-        return None  # stays by its level
-    record = as_it_runs(controller, plant, q, target, latency)
-    drift = [pin.difference(plant.robot.model, q, at) for at in record.q]
-    return float((np.abs(drift).max(axis=0) / (found.travel * math.sqrt(V))).max())
-
-
 def as_it_runs(controller, plant, q, target, latency):
     """Return a recorded run at the loop's latency."""
     real = aj.Plant(
@@ -133,27 +104,12 @@ def as_it_runs(controller, plant, q, target, latency):
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Within(RolloutSetting):
-    """A setting whose runs start, and have targets, in a smaller region than they stay in."""
-
-    starts: Region | None = None
-
-    def start(self, index):
-        """Return how a run begins."""
-        return RolloutSetting.start(replace(self, region=self.starts, starts=None), index)
-
-
-def in_lanes(controller, errors, region, latency, radius, runs, seed):
-    """Return rollouts, from certified starts where there are some."""
+def in_lanes(controller, errors, region, latency, runs, seed):
+    """Return rollouts between configurations of the region."""
     steps = max(100, min(LONGEST, math.ceil(DURATION / latency.period)))
     study = aj.Study(
         controller, errors, region, latency=latency, sensing=as_sensed(latency), seed=seed,
         duration=steps * latency.period,
     )  # fmt: skip
     (setting,) = with_engine([study.setting()], None, runs)
-    inside = aj.JointBox.around(errors.arm, region.center, radius) if radius else region
-    fields = {name: getattr(setting, name) for name in RolloutSetting.__dataclass_fields__}
-    columns = Within(**fields, starts=inside).columns(range(runs))
-    columns["left"] = ~columns["stayed"] & ~columns["diverged"]
-    return columns
+    return setting.columns(range(runs))

@@ -80,7 +80,6 @@ def test_report_says_what_each_test_says(report):
     assert not report.refuted
     test = report.test
     assert test.certified
-    assert report.certifying is test.weights
     in_time = MatrixForm(test.form.samples, report.loop.setting)
     assert (test.margins <= in_time.margins(test.weights) + 1e-12).all()
     assert test.margin >= RESERVE
@@ -133,32 +132,17 @@ def test_gravity_that_is_left_out_is_said_to_be_known(tools):
 
 @pytest.mark.study
 def test_report_says_at_once_for_which_starts_it_holds(report):
-    """Those of which staying is proven, against the usual ones, of which it is assumed."""
-    stays, usual = report.attraction, np.linalg.norm(usual_errors(report), axis=1)
-    assert stays.error < 0.2 * np.median(usual)
+    """The share of the usual ones that V covers, of which staying is assumed."""
+    usual = np.linalg.norm(usual_errors(report), axis=1)
     covers = report.rows[1]
     assert (covers.part, covers.name, covers.verdict) == ("verdict", "covers", "certified")
-    expected = {
-        "radius": stays.radius, "error": stays.error, "share": 1.0, "usual": np.median(usual),
-        "unit": "m",
-    }  # fmt: skip
+    expected = {"share": 1.0, "usual": np.median(usual), "unit": "m"}
     assert {name: covers.figures[name] for name in expected} == expected
-    assert covers.text.startswith("Covers starts at rest up to 0.")
+    assert report.verdict().endswith("as long as the arm stays in the region")
     for level, share in ((0.1, None), (0.0, 0.0)):
         slower = report.test.below(level * report.test.level)
         found = replace(report, test=slower).rows[1].figures["share"]
         assert found == share or (share is None and 0.0 < found < 1.0)
-
-
-def test_the_headline_says_what_is_only_assumed(report):
-    """A certificate with no start of which staying is proven holds while the arm stays."""
-    assert report.rows[0].figures["stays"]
-    assert "as long as the arm stays" not in report.verdict()
-    unproven = replace(report)
-    vars(unproven)["attraction"] = None
-    assert not unproven.rows[0].figures["stays"]
-    assert unproven.rows[1].figures["radius"] == 0.0
-    assert unproven.verdict().endswith("as long as the arm stays in the region")
 
 
 @pytest.mark.study
@@ -281,7 +265,6 @@ def test_what_dies_out_between_frames_does_so_in_the_time_of_a_frame(report, lat
     rates = report.loop.growth(few, latency.in_samples())
     assert_allclose(np.exp(frame * rates), report.loop.spectral_radii(few, latency), rtol=1e-9)
     told = replace(report, latency=latency, growth=report.growth._replace(rate=-2.0))
-    vars(told)["attraction"] = None  # which takes its time
     figures = by_name(told)["tests", "near targets"].figures
     assert (figures["decay"], figures["rate"]) == (2.0, -2.0)
     assert told.rows[0].figures["late"] == late
@@ -308,7 +291,6 @@ def test_gravity_that_is_not_exact_certifies_nothing():
     assert not learnt.is_sampled
     assert learnt.passed
     assert learnt.reason == ""
-    assert learnt.attraction is None
     assert learnt.rows[0].verdict == "in continuous time only"
     assert learnt.rows[1].verdict == "continuous"
     assert learnt.test.family == "free"
@@ -707,7 +689,6 @@ def test_a_loop_that_grows_at_one_target_is_unstable(rate):
     assert some.growth.grows
     assert some.contradiction == some.reason == "unstable"
     assert some.refuted
-    assert some.certifying is None
     assert not some.passed
     assert some.rows[0].verdict == "refuted"
     assert (some.rows[0].figures["rate"], some.rows[1].verdict) == (rate, "problem")
@@ -717,7 +698,6 @@ def test_a_loop_that_grows_at_one_target_is_unstable(rate):
 def test_rollouts_that_diverge_contradict_a_certificate(report, left, diverged):
     runs = SimpleNamespace(n=8, n_left=left, n_diverged=diverged, rows=[])
     found = replace(report, rollouts=runs)
-    vars(found)["attraction"] = None  # which takes its time
     headline, covers = found.rows[:2]
     assert (covers.figures["left"], covers.figures["runs"]) == (left, 8)
     if diverged:
@@ -737,7 +717,6 @@ def test_a_test_in_continuous_time_certifies_in_continuous_time_only(report):
     assert (headline.verdict, covers.verdict) == ("in continuous time only", "continuous")
     assert headline.figures["margin"] == in_time.margin > report.test.margin
     assert found.passed
-    assert found.attraction is None
 
 
 @pytest.mark.parametrize(
@@ -750,7 +729,6 @@ def test_a_test_in_continuous_time_certifies_in_continuous_time_only(report):
 )
 def test_delays_that_are_no_whole_periods_are_rounded_and_said_to_be(report, latency, taken):
     found = replace(report, latency=latency)
-    vars(found)["attraction"] = None
     row = by_name(found).get(("beware", "timing"))
     if taken is None:
         assert row is None
@@ -767,7 +745,6 @@ def test_joints_beyond_their_limits_are_named(report):
         (report.samples, None),
     ):
         found = replace(report, samples=samples)
-        vars(found)["attraction"] = None
         row = by_name(found).get(("beware", "joint limits"))
         assert (row and row.figures) == beyond
 
@@ -781,11 +758,9 @@ def test_why_it_is_not_certified(report, margin, violations, reason):
     """Of the least margin of what was drawn and found, and what was found elsewhere."""
     margins = np.array([margin, 2.0])
     found = replace(report, test=replace(report.test, margins=margins, violations=violations))
-    vars(found)["attraction"] = None
     assert not found.theorem1.holds
     assert found.reason == reason
     assert found.rows[0].verdict == ("not certified" if reason else "yes")
     assert not found.refuted
     assert found.passed == found.test.certified == (reason == "")
-    assert (found.certifying is None) == (reason != "")
     assert by_name(found)["tests", "one function"].verdict == ("none" if reason else "holds")

@@ -1,7 +1,6 @@
 """The certificate of the loop as it runs: what it refuses, what it reaches, what it rests on."""
 
 import math
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -11,12 +10,6 @@ from tests.stability.periods import largest
 import approxjac as aj
 from approxjac.controllers import Latency
 from approxjac.law import Linear
-from approxjac.stability.certificates.attraction import (
-    _largest_ratio,
-    attraction,
-    slower,
-    travels,
-)
 from approxjac.stability.certificates.certificate import (
     RESERVE,
     largest_errors,
@@ -29,6 +22,7 @@ from approxjac.stability.certificates.matrix_form import (
     Turning,
     best_weights,
 )
+from approxjac.stability.certificates.moves import largest_ratio
 from approxjac.stability.loop.closed_loop import ClosedLoop
 
 Q0 = (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.7)
@@ -238,77 +232,6 @@ def test_a_function_is_checked_where_it_was_not_chosen(exact):
     assert with_these.margin <= 0.0
 
 
-@pytest.mark.parametrize("below", [pytest.param(1.0, marks=pytest.mark.study), 1e-3])
-@pytest.mark.parametrize("at", [None, pytest.param((0.4, 1.2), marks=pytest.mark.study)])
-def test_starts_that_stay_are_starts_that_are_certified(exact, below, at):
-    """To any target of the same middle part of the region, or to the one that is given."""
-    robot, law, box, test = exact
-    target = None if at is None else law.task.value(np.array(at))
-    loop = ClosedLoop(law, aj.Plant(robot, law.task), box, target)
-    test = test.below(below * test.level)
-    found = attraction(loop, test, np.random.default_rng(0))
-    assert 0.0 < found.radius < 0.2
-    starts, ends = found.radius * np.random.default_rng(1).choice([-1.0, 1.0], (2, 40, 2))
-    x_d = [law.task.value(box.center + end) for end in ends] if at is None else [target] * 40
-    e = np.array([law.task.value(box.center + q) for q in starts]) - np.array(x_d)
-    energy = test.weights.at_rest(e, law.saturation)
-    assert (energy <= test.level * 1.01).all()
-    assert np.linalg.norm(e, axis=1).max() == pytest.approx(found.error, rel=0.02)
-    travel = found.travel * np.sqrt(found.weights.at_rest(e, law.saturation).max())
-    assert (found.radius + travel <= 0.2 * 1.01).all()
-    if below < 1.0:  # it is what is certified that ends them
-        assert energy.max() > 0.9 * test.level
-
-
-def test_where_the_box_ends_starts_their_own_distance_from_its_middle_counts():
-    """Of starts that are certified by far, on another arm, period and box."""
-    robot, half = aj.load_robot("two_link").with_object(0.15, axis="x"), 0.06
-    law = aj.SetpointController(aj.PositionTask(robot, axes="xz"), aj.Gains(90.0, 25.0, 8.0))
-    box = aj.JointBox.around(robot, (-0.5, 0.9), half)
-    parts = law, aj.Plant(robot, law.task), box
-    test = certificate(parts, Latency(2e-3), n=60, seed=7)
-    found = attraction(ClosedLoop(*parts), test, np.random.default_rng(8))
-    starts, ends = found.radius * np.random.default_rng(9).choice([-1.0, 1.0], (2, 40, 2))
-    e = np.array([law.task.value(box.center + q) for q in starts])
-    e = e - [law.task.value(box.center + q) for q in ends]
-    assert test.weights.at_rest(e, law.saturation).max() < 0.5 * test.level
-    travel = found.travel * np.sqrt(found.weights.at_rest(e, law.saturation).max())
-    assert 0.97 * half < (found.radius + travel).max() < 1.01 * half
-
-
-def test_a_motion_that_spends_its_V_on_one_joint_travels_just_as_far_as_is_told(exact):
-    """V' = −2ρV − zᵀFz, with z along F⁻¹eᵢ and as fast as 2ρ exp(−4ρt) allows."""
-    robot, law, box, test = exact
-    loop = ClosedLoop(law, aj.Plant(robot, law.task), box)
-    found = attraction(loop, test, np.random.default_rng(0))
-    rate, weights, form = found.rate, found.weights, slower(test.form)
-    told, k, dt = travels(form, weights, rate), 3, 1e-3 / rate
-    decay = rate, 0.5  # S(e)/s(e)² of s = e
-    F = form.changed(most_s=form.largest_s(weights), decay=decay).decrease(weights)[k]
-    for i in range(2):
-        z, V, way = np.linalg.inv(F)[i], 1.0, 0.0
-        z = z * np.sqrt(2.0 * rate / (z @ F @ z))
-        for t in dt * (np.arange(round(8.0 / rate / dt)) + 0.5):
-            now = np.exp(-2.0 * rate * t) * z
-            V += dt * (-2.0 * rate * V - now @ F @ now)
-            way += dt * now[i]
-        assert abs(V) < 1e-3
-        np.testing.assert_allclose(way, told[k, i], rtol=1e-3)
-
-
-def test_starts_that_stay_are_as_slow_as_what_was_tested_for_staying(exact):
-    """Where that is slow, V at the starts is what allows it, and ends them before the box does."""
-    robot, law, box, test = exact
-    test = replace(test, form=test.form.with_speed(0.1 * test.form.speed))
-    rng = np.random.default_rng(0)
-    found = attraction(ClosedLoop(law, aj.Plant(robot, law.task), box), test, rng)
-    most = slower(test.form).level(found.weights)
-    starts, ends = found.radius * rng.choice([-1.0, 1.0], (2, 60, 2))
-    x, x_d = (np.array([law.task.value(box.center + q) for q in each]) for each in (starts, ends))
-    energy = found.weights.at_rest(x - x_d, law.saturation).max()
-    assert 0.9 * most < energy <= 1.01 * most
-
-
 @pytest.mark.parametrize("gamma", [None, 0.05])
 def test_decay_is_that_of_V_itself(gamma):
     """F without and with a rate ρ differ by ρP, zᵀPz ≥ 2V for errors of motions below v̄."""
@@ -324,12 +247,13 @@ def test_decay_is_that_of_V_itself(gamma):
         multiplier=0.0
     )  # of holds nothing is left
     sampled = SampledForm(form, np.zeros(2), Hold.of(Latency(1e-3)), 1.0, 1.0)
-    ratio = _largest_ratio(sampled, weights)
+    ratio = largest_ratio(
+        saturation or Linear(), bounds := largest_errors(law.saturation, weights.w, 0.5)
+    )
     assert (ratio > 0.6) == (gamma is not None)
     slow = sampled.changed(decay=(0.7, ratio)).decrease(weights)
     P = (sampled.decrease(weights) - slow)[:, :4, :4] / 0.7
     at, G = form.samples, form.cross_weight(weights)
-    bounds = largest_errors(law.saturation, weights.w, 0.5)
     for k, share in enumerate(np.random.default_rng(1).uniform(-1.0, 1.0, (len(at), 4))):
         v, e = share[:2], share[2:] * bounds
         s, S = law.saturation.s(e), law.saturation.S(e)

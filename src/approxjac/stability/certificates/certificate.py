@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -206,6 +206,46 @@ class Theorem1:
     def holds(self) -> bool:
         """True if (14) and (22) hold for some α."""
         return self.margin > 0.0
+
+
+class EffortRoom(NamedTuple):
+    """Room that limits of effort leave to a loop."""
+
+    holds: bool  # True if motors can hold the arm at all samples
+    # certified motions that begin with V ≤ this never exceed the limits [J]; 0 if there are none
+    level: float
+
+
+def effort_room(
+    loop: ClosedLoop, effort: Array, samples: Samples, certified: SampledTest | None
+) -> EffortRoom:
+    """Return the room of limits of effort, shape (n_v,) [N m or N].
+
+    With σ² of `SampledForm.level` and U = 2c̄W + Ω, V ≥ ½(1 − σ²)|q̇|²_M and V ≥ ½(1 − σ²)sᵀUs, each
+    by completing the square of the other. So V ≤ c bounds each torque, also of a held or late one,
+    |τᵢ − gᵢ| ≤ (|dᵢ|_{M⁻¹} + |kᵢ|_{U⁻¹}) √(2c/(1 − σ²)), dᵢ and kᵢ the rows of ĴᵀK_vĴ + B_c and
+    of ĴᵀK_p.
+
+    `certified` is the test of the loop without limits; None if that is not certified.
+    """
+    (kp, kv, damping), g = loop.diagonals, samples.g
+    if loop.controller.adaptation is None:  # what the law adds
+        g = np.array([loop.controller.gravity.torque(q) for q in samples.q])  # type: ignore[union-attr]
+    room = effort - np.abs(g)
+    holds = bool((room > 0.0).all())
+    if certified is None or not holds:
+        return EffortRoom(holds, 0.0)
+    D_c, M_inv = law.dissipation(samples.J_hat, kv, damping), np.linalg.inv(samples.M)
+    along = np.sqrt(np.einsum("nij,njk,nik->ni", D_c, M_inv, D_c))
+    if certified.latency.velocity_filter:  # q̇ of other configurations is in it, too
+        lightest = np.linalg.eigvalsh(M_inv)[:, -1].max()
+        along = np.sqrt(lightest) * np.linalg.norm(D_c, axis=2)
+    pull = samples.J_hat.mT * kp
+    potential = np.linalg.inv(certified.weights.block(loop.setting.saturation.c_bar))
+    along = along + np.sqrt(np.einsum("nij,jk,nik->ni", pull, potential, pull))
+    # ½(1 − σ²) is level/v̄²
+    share = min(1.0, float((room / along).min() / certified.speed))
+    return EffortRoom(True, certified.level * share**2)
 
 
 def constants(samples: Samples, setting: Setting) -> dict[str, Array]:

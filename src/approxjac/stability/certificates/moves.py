@@ -358,6 +358,12 @@ def damping_of(setting: Setting) -> Array:
     return setting.B if (setting.B > 0.0).all() else np.ones_like(setting.B)
 
 
+def largest_ratio(saturation: law.Saturation, errors: Array) -> float:
+    """Return the largest S(e)/s(e)² of errors up to some, shape (m,): ½ where s(e) = e."""
+    e = np.linspace(0.0, 1.0, _LOOKED)[1:, None] * errors
+    return float((saturation.S(e) / saturation.s(e) ** 2).max())
+
+
 def largest(sizes: dict[str, Array]) -> dict[str, Any]:
     """Return the largest of all samples."""
     return {name: each.max(axis=0) for name, each in sizes.items()}

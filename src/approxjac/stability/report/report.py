@@ -10,16 +10,15 @@ import numpy as np
 
 from approxjac.controllers import Latency, TorqueLimited
 from approxjac.formatting import joined, numbers_of, percent
-from approxjac.stability.certificates.attraction import Attraction, attraction
 from approxjac.stability.certificates.certificate import (
     RESERVE,
+    EffortRoom,
     MatrixTest,
     SampledTest,
     Theorem1,
+    effort_room,
     theorem1,
 )
-from approxjac.stability.certificates.limit_cost import LimitCost, limit_cost
-from approxjac.stability.certificates.matrix_form import Weights
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.loop.samples import Samples
@@ -41,14 +40,6 @@ _REASONS = {
     "none": "no Lyapunov function was found for all errors, configurations and targets",
 }
 _REFUTED = {"unstable", "rollouts diverged"}
-_LIMITS = {
-    "cannot hold": _REASONS["motors"],
-    "V falls": "in steps of status PROOF_KEPT, in continuous time; of the sampled loop nothing is "
-    "proven there",
-    "another V": "the limiter keeps another Lyapunov function V falling, so nothing here is proven "
-    "there",
-    "no proof": "the limiter clips, and nothing is proven there",
-}
 _TINY = 1e-6
 _DRAWN = 400  # starts that tell what is usual
 _CHOOSE = 200  # samples at most that functions are chosen on, besides those that a search finds
@@ -82,7 +73,7 @@ class StabilityReport:
             any certificate; None if none was found.
         damped_q: The same where the Ĵ⁺ of learning is damped, which no certificate covers.
         seed: Seed of all random draws.
-        limits: Cost of torque limits; None without them.
+        limits: Room of the motors within torque limits; None without them.
     """
 
     loop: ClosedLoop
@@ -96,7 +87,7 @@ class StabilityReport:
     singular_q: Array | None
     damped_q: Array | None
     seed: int
-    limits: LimitCost | None = None
+    limits: EffortRoom | None = None
 
     @property
     def gravity_is_exact(self) -> bool:
@@ -121,11 +112,6 @@ class StabilityReport:
     def refuted(self) -> bool:
         """True if the loop is unstable with a true robot that was found."""
         return self.reason in _REFUTED
-
-    @property
-    def certifying(self) -> Weights | None:
-        """Weights of the V that certifies; None if none does."""
-        return self.test.weights if self.passed else None
 
     @property
     def reason(self) -> str:
@@ -159,18 +145,11 @@ class StabilityReport:
         return "the true robot"
 
     @cached_property
-    def attraction(self) -> Attraction | None:
-        """Starts that never leave the region; None without a certificate, or if it is no box."""
-        if not isinstance(self.test, SampledTest) or self.reason:
-            return None
-        return attraction(self.loop, self.test, np.random.default_rng(self.seed))
-
-    @cached_property
     def rows(self) -> list[Row]:
         """The findings: part of the report, test, verdict and figures."""
         rows = [_verdict(self), _covers(self), _near(self), _function(self), _theorem1(self)]
         rows += _beware(self)
-        rows += [] if self.limits is None else of_limits(self.limits)
+        rows += [] if self.limits is None else _limits(self.limits)
         rows += [] if self.rollouts is None else self.rollouts.rows
         return [*rows, *_worst(self), *_about(self)]
 
@@ -228,11 +207,11 @@ def report_of(
     )  # fmt: skip
     if limiter is None:
         return report
-    sampled = test if isinstance(test, SampledTest) else None
-    cost = limit_cost(loop, limiter, everywhere, sampled, report.certifying)
-    if sampled is not None and sampled.certified:
-        report = replace(report, test=sampled.below(cost.level))
-    return replace(report, limits=cost)
+    sampled = test if isinstance(test, SampledTest) and test.certified else None
+    room = effort_room(loop, np.asarray(limiter.limits.effort), everywhere, sampled)
+    if sampled is not None:
+        report = replace(report, test=sampled.below(room.level))
+    return replace(report, limits=room)
 
 
 # -- rows -----------------------------------------------------------------------------------------
@@ -252,9 +231,7 @@ def _verdict(report: StabilityReport) -> Row:
             text = f"with learnt gravity there is no certificate {runs}"
             text = f"certified {verdict}, margin {test.margin:.2g}; {text}"
             return Row("verdict", "certified", verdict, figures, text)
-        figures["stays"] = report.attraction is not None
-        text = f"certified, margin {test.margin:.2g}, {runs}"
-        text += "" if figures["stays"] else f", {_IF_IT_STAYS}"
+        text = f"certified, margin {test.margin:.2g}, {runs}, {_IF_IT_STAYS}"
         return Row("verdict", "certified", "yes", figures, text)
     figures |= {"reason": report.reason, "error": report.gravity_error}
     figures |= {"rate": report.growth.rate, "robot": _short(report, report.growth.values)}
@@ -292,27 +269,17 @@ def _covers(report: StabilityReport) -> Row:
 
 
 def _covered_starts(report: StabilityReport, sampled: SampledTest, figures: dict[str, Any]) -> str:
-    """Describe the starts that a certificate covers, and the errors of the usual ones."""
-    stays, e = report.attraction, usual_errors(report)
+    """Describe the starts that a certificate covers, among the usual ones."""
+    e, unit = usual_errors(report), joined(report.loop.controller.task.units)
     energies = sampled.weights.at_rest(e, report.loop.controller.saturation)
     share, usual = float((energies <= sampled.level).mean()), np.median(np.linalg.norm(e, axis=1))
-    unit = joined(report.loop.controller.task.units)
-    figures |= {"share": share, "usual": float(usual), "radius": 0.0, "unit": unit}
+    figures |= {"share": share, "usual": float(usual), "unit": unit}
     figures["certified_error"] = sampled.certified_error
-    begins = "From no start is it proven that the arm stays in the region"
-    if stays is not None:
-        names = ("radius", "error", "travel", "rate")
-        figures |= {name: getattr(stays, name) for name in names} | stays.weights._asdict()
-        both = "start and target" if report.loop.target is None else "start"
-        joints = joined(report.loop.plants[0].robot.joint_units)
-        begins = (
-            f"Covers starts at rest up to {stays.error:.2g} {unit} from their target ({both} "
-            f"within {stays.radius:.2g} {joints} of the region's middle)"
-        )
-    goes = f"the error goes to zero {_IF_IT_STAYS}" if share else "is anything proven"
-    of_these = f"{percent(share)} %" if share else "none"
-    away = f"{usual:.2g} {unit} from their target in the median"
-    return f"{begins}. From {of_these} of the usual starts ({away}) {goes}."
+    return (
+        f"From {f'{percent(share)} %' if share else 'none'} of the usual starts at rest "
+        f"({usual:.2g} {unit} from their target in the median) the error goes to zero, "
+        f"{_IF_IT_STAYS}."
+    )
 
 
 def usual_errors(report: StabilityReport) -> Array:
@@ -480,21 +447,12 @@ def _short(report: StabilityReport, values: Array) -> str:
     return f"{some_of} and {truth.d - _NAMED} other errors (summary() names all)"
 
 
-def of_limits(cost: LimitCost) -> list[Row]:
-    """Return rows about limits of effort."""
-    acting = Row("limits", "where they act", cost.verdict, {}, _LIMITS[cost.verdict])
-    if not cost.holds:
-        return [acting._replace(figures={"free": cost.free})]
-    ends = [f"{value:.2g} {unit}" for unit, value in cost.free.items() if np.isfinite(value)]
-    text = "no error asks for more torque than the motors have"
-    if ends:
-        text = (
-            f"errors below {' or '.join(ends)} never ask for more than the motors have; larger "
-            f"ones may: {100.0 * cost.clipped:.3g} % of the samples do"
-        )
-    rows = [Row("limits", "at rest", "", {"free": cost.free, "clipped": cost.clipped}, text)]
-    if cost.level:
-        text = "only for starts whose motions never ask for more than the motors have"
-        rows.append(Row("limits", "certified", "", {"level": cost.level}, text))
+def _limits(room: EffortRoom) -> Iterator[Row]:
+    """Rows about limits of effort."""
+    if not room.holds:
+        yield Row("limits", "motors", "cannot hold", {"level": 0.0}, _REASONS["motors"])
+        return
+    text = "no torque limit acts on motions of the starts covered; on others nothing is certified"
+    yield Row("limits", "certified", "", {"level": room.level}, text)
     text = "limits of speed, position and rate, and the weight of an arm taken without gravity"
-    return [*rows, acting, Row("limits", "not checked", "", {}, text)]
+    yield Row("limits", "not checked", "", {}, text)

@@ -23,7 +23,14 @@ from approxjac.law import moves
 from approxjac.robots import Robot
 from approxjac.robots.traced import moved, positions_at
 from approxjac.stability.certificates.matrix_form import Hold, Weights, best_weights
-from approxjac.stability.certificates.moves import EasedLine, MovingForm, Tube, damping_of, largest
+from approxjac.stability.certificates.moves import (
+    EasedLine,
+    MovingForm,
+    Tube,
+    damping_of,
+    largest,
+    largest_ratio,
+)
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Indices, Samples
@@ -449,10 +456,8 @@ class MoveSearch:
         return np.asarray(~damped & (np.linalg.det(ways) > 0.0)), np.asarray(inside)
 
     def _with(self, form: MovingForm, rate: float, tube: Tube) -> MovingForm:
-        errors = np.linspace(0.0, tube.e, 50)[1:, None] * np.ones(len(form.setting.kp))
-        saturation = form.setting.saturation
-        ratio = float((saturation.S(errors) / saturation.s(errors) ** 2).max())
-        return form.changed(decay=(rate, ratio))
+        of = np.full(len(form.setting.kp), tube.e)
+        return form.changed(decay=(rate, largest_ratio(form.setting.saturation, of)))
 
     def _answer(self, form: MovingForm, function: Function, tube: Tube) -> Tube | None:
         form = self._with(form, function.rate, tube)
