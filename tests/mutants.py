@@ -470,11 +470,6 @@ MUTANTS = [
         "return self.rate >= 0.0", "return self.rate >= 1e-3", GRAVITY,
     ),
     (
-        "multipliers near 1 are left out", "stability/loop/closed_loop.py",
-        "np.exp(timing.frame * np.array([each.max_real_eigenvalue for",
-        "np.exp(timing.frame * np.array([each.max_real_eigenvalue - 1.0 for", GRAVITY,
-    ),
-    (
         "fallback without what is dear", "law/limits.py",
         "dear = np.where(soft, dearness, 0.0)", "dear = 0.0 * dearness", PERIODS,
     ),
@@ -1114,12 +1109,6 @@ MUTANTS = [
         "tests/stability/test_certificate.py",
     ),
     (
-        "nearby with another target", "stability/loop/closed_loop.py",
-        "known.x_d[k : k + 1], n",
-        "known.x_d[:1], n",
-        "tests/stability/test_many_configurations.py",
-    ),
-    (
         "friction is not felt near targets", "stability/loop/closed_loop.py",
         "linear_loops(law, plant.friction,",
         "linear_loops(law, 0.0 * plant.friction,",
@@ -1248,14 +1237,19 @@ MUTANTS = [
     ),
     (
         "suggestion as if it were continuous", "stability/search/suggested_gains.py",
-        "own.local_test(*targets, latency.in_samples())",
-        "own.local_test(*targets)",
+        "own.stabilities(q, targets, timing))",
+        "own.stabilities(q, targets, None))",
+        "tests/stability/test_suggestion.py",
+    ),
+    (
+        "gains whose sampled loop grows pass", "stability/search/suggested_gains.py",
+        "left = min(slowest, -float(own.growth(samples, timing).max()))", "left = slowest",
         "tests/stability/test_suggestion.py",
     ),
     (
         "suggestion of the fastest robot", "stability/search/suggested_gains.py",
-        "slowest = own.local_test(*targets, latency.in_samples()).decay_rates.min()",
-        "slowest = own.local_test(*targets, latency.in_samples()).decay_rates.max()",
+        "slowest = min(each.decay_rate",
+        "slowest = max(each.decay_rate",
         "tests/stability/test_suggestion.py",
     ),
     (
@@ -2066,12 +2060,6 @@ MUTANTS = [
         "tests/stability/test_rollouts.py",
     ),
     (
-        "near in every joint alike", "stability/errors/region.py",
-        "size * self.spread * rng",
-        "size * rng",
-        "tests/stability/test_region.py",
-    ),
-    (
         "what decides nothing is stable", "stability/loop/linearization.py",
         "return float((self.decay_rates > 0.0).sum()) / max(len(self.q), 1)",
         "return float((self.decay_rates >= 0.0).sum()) / max(len(self.q), 1)",
@@ -2424,10 +2412,6 @@ MUTANTS = [
         "exp of −800 in machine code", "codegen/trace/symbols.py",
         "return expm1(select(x > -_MOST, x, -_MOST)) + 1.0", "return expm1(x) + 1.0",
         "tests/codegen/test_graph.py",
-    ),
-    (
-        "gains whose sampled loop grows pass", "stability/search/suggested_gains.py",
-        "left = 1.0 - grown", "left = grown - 1.0", "tests/stability/test_suggestion.py",
     ),
     (
         "ends of intervals with round-off", "simulation/sensing.py",

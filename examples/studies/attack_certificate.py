@@ -27,6 +27,7 @@ from attacks import (
     linearised,
     moved,
     on_its_own_clock,
+    radii,
     watched,
 )
 from common import carried_object, head, parser, row, run_all, write
@@ -147,7 +148,7 @@ def longest_stable(loop, samples, latency):
     low, high = 1e-6, 1.0
     while high > 1.05 * low:
         middle = math.sqrt(low * high)
-        stable = (loop.spectral_radii(samples, in_seconds(latency, middle)) < 1.0).all()
+        stable = (radii(loop, samples, in_seconds(latency, middle)) < 1.0).all()
         low, high = (middle, high) if stable else (low, middle)
     return low
 

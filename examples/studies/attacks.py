@@ -21,7 +21,13 @@ LONGEST, DURATION = 2000, 2.0  # of rollouts, whichever is less [periods, s]
 def linearised(controller, plant, region, latency, rng):
     """Return by what errors of a true robot grow from frame to frame, shape (OF_EACH,)."""
     loop = ClosedLoop(controller, plant, region)
-    return loop.spectral_radii(loop.draw(OF_EACH, rng), latency)
+    return radii(loop, loop.draw(OF_EACH, rng), latency)
+
+
+def radii(loop, samples, latency):
+    """Return the spectral radii of the maps from frame to frame of samples as targets, (N,)."""
+    timing = latency.in_samples()
+    return np.exp(timing.frame * loop.growth(samples, timing))
 
 
 def start(plant, controller, region, test, rng, level):

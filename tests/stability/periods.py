@@ -1,4 +1,12 @@
-"""The largest period at which something holds, for tests."""
+"""The largest period at which something holds, and growth from frame to frame, for tests."""
+
+import numpy as np
+
+
+def radii(loop, samples, latency):
+    """The spectral radii of the maps from frame to frame, of samples as targets, shape (N,)."""
+    timing = latency.in_samples()
+    return np.exp(timing.frame * loop.growth(samples, timing))
 
 
 def largest(passes, first, halvings=7):

@@ -152,7 +152,7 @@ def test_friction_damps_as_much_as_damping_that_is_added():
         samples = loop.draw(20, np.random.default_rng(0))
         first = theorem1(samples, loop.setting)
         margins = best_weights(MatrixForm(samples, loop.setting), "free").margins
-        decay = loop.local_test(samples.truth, samples.q).decay_rates
+        decay = -loop.growth(samples, None)
         found.append(np.concatenate([[first.allowed_p, first.c0, first.c1], margins, decay]))
     natural, added, without = found
     assert_allclose(natural, added, rtol=1e-9)

@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
+from tests.stability.periods import radii
 
 import approxjac as aj
 from approxjac.controllers import RegressorGravity
@@ -190,7 +191,7 @@ def test_radii_are_of_the_maps_from_frame_to_frame(two_link, kp):
     ]
     multipliers = np.linalg.eigvals(maps)  # but for torques that are learnt: there are none
     expected = np.where(np.abs(multipliers - 1.0) < 1e-9, 0.0, np.abs(multipliers)).max(axis=1)
-    assert_allclose(loop.spectral_radii(samples, latency), expected, rtol=1e-6)
+    assert_allclose(radii(loop, samples, latency), expected, rtol=1e-6)
     assert (expected > 1.0).all() == (kp == 3000.0)
 
 

@@ -53,26 +53,6 @@ def require_same_terms(arm, frame, rng):
     require_same(vars(found), {name: [row[name] for row in each] for name in each[0]})
 
 
-def test_what_is_near_a_sample_has_its_true_robot_and_its_target():
-    """Not those of another one; and is in the region, about as far away as is said."""
-    arm = aj.load_robot("two_link")
-    errors = aj.Uncertainty(arm, PLANE, object_length=(0.0, 0.4), object_axis="x")
-    box = aj.JointBox.around(arm, (0.4, 1.2), 0.3)
-    loop = ClosedLoop(aj.SetpointController(errors.believed_task()), errors, box)
-    rng = np.random.default_rng(0)
-    samples = loop.draw(20, rng, inside=4)
-    for k in (0, 7, len(samples) - 1):
-        near = loop.near(samples, k, 6, 0.1, rng)
-        assert (near.truth == samples.truth[k]).all()
-        sensor = loop.plants[samples.truth[k]].sensor
-        for q, x, x_d, e in zip(near.q, near.x, near.x_d, near.e, strict=True):
-            assert_allclose(x, sensor.value(q))
-            assert_allclose(x_d, samples.x_d[k])
-            assert_allclose(e, x - samples.x_d[k], atol=1e-12)
-            assert box.contains(q)
-        assert 0.0 < np.abs(near.q - samples.q[k]).max() < 0.5 * 0.6
-
-
 class Distance(aj.Task):
     """Of the tip to the base, as a user writes it."""
 
@@ -175,19 +155,19 @@ def test_samples_are_what_each_configuration_gives_alone(name, rng):
 def test_targets_are_what_each_gives_alone(learns, timing, rng):
     loop = closed_loop(aj.PositionTask, learns)
     truths, q = loop.targets(12, rng)
-    found = loop.local_test(truths, q, timing)
-    for t, each, rate, ratio in zip(
-        truths, q, found.decay_rates, found.damping_ratios, strict=True
-    ):
+    found = loop.stabilities(q, loop.terms(truths, q), timing)
+    for t, each, own in zip(truths, q, found, strict=True):
         plant = loop.plants[t]
         parts = linear_loop(plant, loop.controller, each)
         (alone,) = stabilities(parts, 9.81, timing)
         expected = alone.eigenvalues
         dead_time = 0.0 if timing is None else timing.dead_time
         assert not alone.singular
-        assert_allclose(rate, -expected.real.max(), rtol=1e-8)
+        assert_allclose(own.decay_rate, -expected.real.max(), rtol=1e-8)
         lasting = expected[expected.real * dead_time > -np.log(10.0)]
-        assert_allclose(ratio, min(1.0, (-lasting.real / np.abs(lasting)).min()), rtol=1e-8)
+        assert_allclose(
+            own.damping_ratio, min(1.0, (-lasting.real / np.abs(lasting)).min()), rtol=1e-8
+        )
 
 
 def test_targets_that_do_not_feel_the_same_parameters_stand_side_by_side(two_link):

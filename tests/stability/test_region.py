@@ -21,15 +21,11 @@ def regions(panda):
 
 
 @pytest.mark.parametrize("name", ["limits", "box", "regular"])
-def test_what_is_drawn_is_contained_and_so_is_what_is_near(panda, name):
+def test_what_is_drawn_is_contained(panda, name):
     region = regions(panda)[name]
     drawn = region.sample(60, np.random.default_rng(1))
     assert drawn.shape == (60, 7)
     assert all(region.contains(q) for q in drawn)
-    rng = np.random.default_rng(2)
-    near = np.array([region.near(q, 0.05, rng) for q in drawn])
-    assert all(region.contains(q) for q in near)
-    assert 0 < np.abs(near - drawn).max() < 0.5 * region.spread.max()
     assert_array_equal(region.sample(60, np.random.default_rng(1)), drawn)
 
 
@@ -59,18 +55,9 @@ def test_a_box_ends_at_each_bound_of_each_joint(name, side):
         assert not box.contains(np.array(pin.integrate(arm.model, q, 1.001 * way)))
 
 
-def test_near_is_a_share_of_the_width_along_each_joint():
-    arm = aj.load_robot("two_link")
-    box, rng = aj.JointBox(arm, (-0.01, -0.5), (0.02, 1.5)), np.random.default_rng(0)
-    middle = box.center
-    away = np.array([box.near(middle, 0.04, rng) for _ in range(400)]) - middle
-    assert_allclose(away.std(axis=0), 0.04 * np.array([0.03, 2.0]), rtol=0.15)
-
-
 def test_a_box_may_be_one_posture(panda):
     box = aj.JointBox.around(panda, Q, 0.0)
     assert_array_equal(box.sample(3, np.random.default_rng(0)), [Q, Q, Q])
-    assert_array_equal(box.near(Q, 0.1, np.random.default_rng(0)), Q)
 
 
 def test_continuous_joints_are_counted_from_the_centre():

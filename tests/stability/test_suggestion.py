@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tests.stability.periods import largest
+from tests.stability.periods import largest, radii
 
 import approxjac as aj
 from approxjac.controllers import tuned
@@ -44,7 +44,7 @@ def longest_period(tools, box, gains):
     samples = loop.draw(60, np.random.default_rng(0))
 
     def stable(period):
-        return bool((loop.spectral_radii(samples, replace(KHZ, period=period)) < 1.0).all())
+        return bool((radii(loop, samples, replace(KHZ, period=period)) < 1.0).all())
 
     return largest(stable, KHZ.period)
 
@@ -71,7 +71,7 @@ def test_suggested_gains_follow_the_latency(tools, box):
     )
     assert np.sum(found.found.gains.damping) < np.sum(early.found.gains.damping)
     loop = ClosedLoop(law_of(tools, found.found.gains), tools, box)
-    assert loop.spectral_radii(loop.draw(60, np.random.default_rng(7)), late).max() < 1.0
+    assert radii(loop, loop.draw(60, np.random.default_rng(7)), late).max() < 1.0
     assert str(found).startswith("gains: found, passing with slowest decay [1/s] ")
 
 
@@ -173,7 +173,7 @@ def test_gains_that_grow_as_they_are_sampled_fail(monkeypatch, test):
         own = law_of(errors, only.gains)
         grows.append(-aj.local_stability(plant, own, q, 0.03).decay_rate)
     assert max(grows) > 1.0
-    assert only.margin == pytest.approx(1.0 - np.exp(0.03 * max(grows)), rel=1e-3)
+    assert only.margin == pytest.approx(-max(grows), rel=1e-3)
     assert found.found is None
 
 

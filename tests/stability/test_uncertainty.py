@@ -122,7 +122,7 @@ def test_the_truth_at_what_is_believed_is_the_belief(panda, everything, rng):
 @pytest.mark.parametrize(
     "name", ["two_link", "ur5", pytest.param("pr2_left_arm", marks=pytest.mark.study)]
 )
-def test_a_robot_that_moves_is_each_of_the_others(name, rng):
+def test_many_robots_at_once_have_the_numbers_of_each(name, rng):
     arm = aj.load_robot(name)
     errors = aj.Uncertainty(
         arm,
@@ -131,22 +131,11 @@ def test_a_robot_that_moves_is_each_of_the_others(name, rng):
         joint_shifts={arm.joint_names[-1]: (0.02, 0.0, 0.01)},
         joint_rotations={arm.joint_names[0]: (0.0, 0.05, 0.0)},
     )
-    moving = errors.moving()
     drawn = [errors.low, *(errors.sample(rng) for _ in range(3)), errors.believed, errors.high]
-    seen, robots = set(), []
+    robots = []
     for values in [*drawn, *reversed(drawn)]:
-        own, moved = errors.plant(values), moving.plant(values)
-        q, frames = arm.random_configuration(rng), (own.robot.tip,)
-        each = (arm_numbers(robot, frames) for robot in (own.robot, moved.robot))
-        for one, other in zip(*each, strict=True):
-            assert_array_equal(one, other)
-        robots.append(arm_numbers(own.robot, frames))
-        assert_array_equal(own.sensor.value(q), moved.sensor.value(q))
-        assert_array_equal(own.dynamics.g(q), moved.dynamics.g(q))
-        assert moved.robot == own.robot  # by its text
-        seen.add(id(moved.robot))
-    assert len(seen) == 2  # it, and what is believed
-    # many at once have the same numbers
+        own = errors.plant(values).robot
+        robots.append(arm_numbers(own, (own.tip,)))
     belief, values = errors.belief(), np.array([*drawn, *reversed(drawn)])
     tip = belief.mimic_joints.model.getFrameId(belief.tip)
     changes = errors.changes(values)

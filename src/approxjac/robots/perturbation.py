@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from approxjac.robots.robot import Robot, require_inertia
 from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, as_size, direction, rotation_onto
-from approxjac.validation import Array, Immutable, changed_copy
+from approxjac.validation import Array, Immutable
 
 Place = tuple[Array, Array]
 """Rotations (N, 3, 3) and origins (N, 3) [m] in the axes of what carries them."""
@@ -50,7 +50,6 @@ class Perturbation(Immutable):
         joints: Sequence[str] = (),
     ) -> None:
         self._made_of = (arm, held, axis, tuple(joints))
-        self._moved: PerturbedRobot | None = None
         self.base = arm if held is None else arm.with_object(*held, axis=axis)
         self._outward = None if self.base.tip is None else self.base.outward_axis()
         n = None
@@ -65,14 +64,6 @@ class Perturbation(Immutable):
     def __deepcopy__(self, memo: dict[int, Any]) -> Perturbation:
         return self  # it never changes
 
-    def moving(self) -> Perturbation:
-        """Return a copy whose `robot` changes one robot in place: use it before the next call."""
-        return changed_copy(self, _moved=PerturbedRobot.like(self.base, _outward=self._outward))
-
-    def moves(self, robot: Robot) -> bool:
-        """Return True for the robot that a copy by `moving` changes in place."""
-        return robot is self._moved
-
     def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
         """Return a perturbed robot; raise a UrdfError if its inertia matrix would be singular.
 
@@ -86,7 +77,7 @@ class Perturbation(Immutable):
             as_size("length", length)
             as_size("mass", mass, "kg")
         values = (length, mass, shifts, rotations)
-        robot = self._moved or PerturbedRobot.like(self.base, _outward=self._outward)
+        robot = PerturbedRobot.like(self.base, _outward=self._outward)
         robot._made_by = self, values
         robot.__dict__.pop("tree", None)  # that of `base`
         for model, parts in zip(robot.models, self._parts, strict=True):

@@ -51,14 +51,6 @@ class Region(ABC):
     def contains(self, q: Array) -> bool:
         """Return True if a configuration (nq,) belongs to the region; lanes trace it."""
 
-    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        """Return a configuration (nq,) of the region near q (nq,), about `size` spreads away."""
-        for _ in range(20):
-            other = moved(self.robot, q, size * self.spread * rng.standard_normal(self.robot.nv))
-            if self.contains(other):
-                return other
-        return q
-
     def _away(self, q: Array, other: Array) -> Array:
         other = other if np.shape(other) == (self.robot.nq,) else self.robot.configuration(other)
         return motion_between(self.robot, q, other)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -230,7 +229,6 @@ class Uncertainty:
     drives: Drives | None = None
     factor: float = 1.0
     _coordinates: tuple[Coordinate, ...] = field(init=False)
-    _moved: Plant | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         require("arm", self.arm, Robot, "the believed Robot, without the object")
@@ -467,25 +465,9 @@ class Uncertainty:
             InvalidInputError: Wrong shape, not finite, or a robot that cannot exist.
         """
         robot = self.robot(values)
-        if self._moved is not None and self._moved.robot is robot:
-            return self._moved
         at = dict(zip(self.names, self._checked(values).tolist(), strict=True))
         camera = None if self.camera is None else self._true_camera(self.camera, at)
-        plant = self.nominal._of(robot, self._task_of(robot, camera))
-        make = self._make_task
-        same = isinstance(make, partial) and make.func is PositionTask and "axes" in make.keywords
-        if same and self._perturbation.moves(robot):  # other tasks may look at the robot
-            vars(self)["_moved"] = plant
-        return plant
-
-    def moving(self) -> Uncertainty:
-        """Return a copy whose `plant` changes one robot in place, valid until the next call.
-
-        For many robots in sequence it takes a third of the time.
-        """
-        moving = copy.copy(self)
-        vars(moving)["_perturbation"] = self._perturbation.moving()
-        return moving
+        return self.nominal._of(robot, self._task_of(robot, camera))
 
     @cached_property
     def nominal(self) -> Plant:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from approxjac.controllers import Controller, Gains, Latency
+from approxjac.controllers import Controller, Gains
 from approxjac.controllers.gains.gains import Timing
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import joined
@@ -28,7 +28,6 @@ from approxjac.stability.loop.configurations import (
 )
 from approxjac.stability.loop.linearization import (
     LocalStability,
-    LocalTest,
     gravity_error,
     linear_loops,
     stabilities,
@@ -58,7 +57,6 @@ _STARTS = 20  # of the search for configurations that attain a target
 _WEIGHED = 8  # true robots from inside whose gravity is looked at, besides the corners
 _DECADES = 6.0  # of the sizes of small errors
 _VANISHING = 1e-4  # σ_min that is found there, of a tenth of the typical σ_max
-_MOST_TARGETS = 1000
 _PROJECTED, _ATTAINED = 12, 1e-9  # steps to a target, and what counts as there [rad or m]
 _LONGEST = 0.3  # step [rad or m]
 _SINGULAR = 1e-9  # σ_min as a share of σ_max at which Ĵ⁺ cannot be computed
@@ -224,16 +222,6 @@ class ClosedLoop:
         truths = np.repeat(np.arange(len(known)), [len(each) for each in known])
         return truths, np.concatenate(known)
 
-    def near(
-        self, known: Samples, k: int, n: int, size: float, rng: np.random.Generator
-    ) -> Samples:
-        """Draw n samples near the k-th known one, of its true robot and target."""
-        truth = int(known.truth[k])
-        sizes = size * 10.0 ** rng.uniform(-1.0, 0.5, n)
-        nearby = np.array([self.parts[truth].near(known.q[k], each, rng) for each in sizes])
-        x_d = np.repeat(known.x_d[k : k + 1], n, axis=0)
-        return self.samples_at(np.full(n, truth), nearby, x_d)
-
     def terms(self, truths: Indices, configurations: Array, x_d: Array | None = None) -> Terms:
         """Return the terms of true robots (N,) at configurations (N, nq), of targets (N, n_x).
 
@@ -339,9 +327,9 @@ class ClosedLoop:
         self.plants, self.parts = [*self.plants, *plants], [*self.parts, *parts]
         return np.arange(first, len(self.plants))
 
-    def growth(self, at: Samples, timing: Timing) -> Array:
+    def growth(self, at: Samples, timing: Timing | None) -> Array:
         """Return the largest real part of an eigenvalue near each sample as a target [1/s]."""
-        found = self._stabilities(at.q, at, timing)
+        found = self.stabilities(at.q, at, timing)
         return np.array([each.max_real_eigenvalue for each in found])
 
     @cached_property
@@ -402,34 +390,14 @@ class ClosedLoop:
         left[rows] = np.linalg.norm(at.e, axis=1) / np.linalg.norm(at.J, axis=(1, 2))
         return q, left <= _ATTAINED
 
-    def _stabilities(
+    def stabilities(
         self, configurations: Array, at: Terms, timing: Timing | None
     ) -> list[LocalStability]:
+        """Linearise at N configurations, taken as targets, with their terms."""
         plant, law = self.plants[0], self.controller
         parts = linear_loops(law, plant.friction, configurations, at.M, at.dg, at.J, at.J_hat)
         parts = parts._replace(**self.diagonals._asdict())
         return stabilities(parts, float(np.linalg.norm(plant.robot.gravity)), timing)
-
-    def local_test(
-        self, truths: Indices, configurations: Array, timing: Timing | None = None
-    ) -> LocalTest:
-        """Linearise at true robots (N,) with configurations (N, nq), taken as targets.
-
-        The first thousand are taken, of the loop as it is sampled or (None) continuous.
-        """
-        truths, configurations = truths[:_MOST_TARGETS], configurations[:_MOST_TARGETS]
-        found = self._stabilities(configurations, self.terms(truths, configurations), timing)
-        return LocalTest.of(found, configurations, truths)
-
-    def spectral_radii(self, samples: Samples, latency: Latency) -> Array:
-        """Return the spectral radii of the maps from frame to frame, of samples as targets, (N,).
-
-        Below 1 where the sampled, late loop is stable; at least 1 where a target is singular.
-        """
-        timing = latency.in_samples()
-        found = self._stabilities(samples.q, samples, timing)
-        radii = np.exp(timing.frame * np.array([each.max_real_eigenvalue for each in found]))
-        return np.maximum(radii, [each.singular for each in found])
 
     def attained(self, rng: np.random.Generator) -> list[list[Array]]:
         """Return configurations of the region that attain the target, for each true robot.

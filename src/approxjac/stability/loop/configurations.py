@@ -54,7 +54,6 @@ def inverse_kinematics(
 
 
 _TRIES = 1000  # for each configuration that is seen
-_NEARBY = 20  # tries
 _HALVINGS = 30  # of the way out of the view
 
 
@@ -100,10 +99,6 @@ class VisiblePart(Region):
                     truth=self.truth,
                 )
         return kept
-
-    def near(self, q: Array, size: float, rng: np.random.Generator) -> Array:
-        near = (self.region.near(q, size, rng) for _ in range(_NEARBY))
-        return next((moved for moved in near if sees(self.sensor, moved)), q)
 
     def between(self, seen: Array, other: Array, share: float) -> Array:
         """Return a share of the way from a visible configuration, halved until it is visible."""

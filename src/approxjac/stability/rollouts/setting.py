@@ -183,13 +183,11 @@ class RolloutSetting:
         )
 
     def columns(self, indices: range) -> dict[str, Array]:
-        """Return some runs, as columns; with a copy of this, where others go on meanwhile."""
-        lanes, own = None, self
-        if self.engine == "lanes":
-            lanes, own = _lanes_of(self), replace(self, uncertainty=self.uncertainty.moving())
+        """Return some runs, as columns; in lanes if they are its engine."""
+        lanes = _lanes_of(self) if self.engine == "lanes" else None
         starts, ran = [], list[Any]()
         for index in indices:
-            start = own.start(index)
+            start = self.start(index)
             starts.append((index, start.values, start.q, start.target))
             begun = None if lanes is None else start.lane_start(self.controller, lanes.frames)
             ran.append(begun or self._outcome(start))

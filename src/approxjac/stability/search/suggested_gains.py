@@ -128,7 +128,8 @@ def suggested_gains(
     known = replace(known, region=loop.region)
     rng = np.random.default_rng(seed)
     samples = loop.draw(configurations, rng, inside=SHARED)
-    targets = loop.targets(_TARGETS, rng)
+    truths, q = loop.targets(_TARGETS, rng)
+    targets, timing = loop.terms(truths, q), latency.in_samples()
     singular = loop.singular_configuration(samples) is not None
     weighing = [uncertainty.plant(values).dynamics for values in loop.values]
     weight = np.array([weighing[t].g(q) for t, q in zip(samples.truth, samples.q, strict=True)])
@@ -137,19 +138,15 @@ def suggested_gains(
         own = loop.with_gains(gains)
         pull = samples.J_hat.mT @ (own.setting.kp * samples.s)[..., None]
         ratio = float((np.abs(weight - pull[..., 0]) / limits).max())
-        slowest = own.local_test(*targets, latency.in_samples()).decay_rates.min()
+        slowest = min(each.decay_rate for each in own.stabilities(q, targets, timing))
         time = _SETTLED / slowest if slowest > 0.0 else np.inf
         left = np.nan  # of no use where both of the others are missed
         if test != "stable" and singular:
             left = -np.inf  # whatever the gains: the arm may stand still there
         elif ratio <= 1.0 or time <= settling_time:
-            grown = float(own.spectral_radii(samples, latency).max())
-            if grown >= 1.0:
-                left = 1.0 - grown
-            else:
-                left = slowest
-                if test == "certified":
-                    left = sampled_test(own, samples, latency).margin
+            left = min(slowest, -float(own.growth(samples, timing).max()))
+            if test == "certified" and left > 0.0:
+                left = sampled_test(own, samples, latency).margin
         return Candidate(gains, left, ratio, time)
 
     def confirmed(candidate: Candidate) -> Candidate:
