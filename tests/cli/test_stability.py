@@ -33,8 +33,8 @@ def rough():
         yield partialmethod(rough, tests=("certified", "stable"))
 
 
-def stability(tmp_path, *options):
-    return main(["stability", *options, "--out", str(tmp_path)])
+def stability(tmp_path, *options, moves="0"):
+    return main(["stability", *options, "--moves", moves, "--out", str(tmp_path)])
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_a_certified_set(certified):
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     assert (summary["certified"], summary["refuted"]) == (True, False)
     assert summary["about"]["timing"]["period"] == 1e-3
-    assert summary["limits"]["at rest"]["free"]["m"] > 0.05
+    assert summary["limits"]["certified"]["level"] > 0.0
     assert set(summary["tolerance"]) == {"certified", "stable"}
     scales = [summary["tolerance"][test]["scale"] for test in ("certified", "stable")]
     assert scales == sorted(scales)
@@ -107,19 +107,20 @@ def test_it_repeats_bit_by_bit(tmp_path):
 def test_moves_are_told_and_kept(tmp_path, capsys):
     stability(
         tmp_path, "two_link", "--object-length", "0", "0.1", "--around", "0.5", "1.2", "--kp", "60",
-        "--kv", "20", "--damping", "5", "--moves", "0.1", "--configurations", "20", "--runs", "0",
-        "--map-points", "0",
+        "--kv", "20", "--damping", "5", "--configurations", "20", "--runs", "0", "--map-points",
+        "0", moves="0.1",
     )  # fmt: skip
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "10 cm along +x at up to" in shown
-    assert "for every robot of the box, from rest" in shown
-    moves = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))["moves"]
-    ways = [move["displacement"] for move in moves]
-    assert ways == [[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]
-    for move in moves:
-        assert (move["speed"] > 0.0) == (move["reason"] == "")
+    printed = capsys.readouterr().out
+    shown, first = " ".join(printed.split()), " ".join(" ".join(printed.splitlines()[1:4]).split())
+    assert "Moves of 10 cm from rest in the middle of the region: " in first
+    contents = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert list(contents["moves"]) == ["+x", "+z", "-x", "-z"]
+    for way, move in contents["moves"].items():
+        assert (move["speed"] > 0.0) == (move["reason"] == "") == (move["verdict"] == "certified")
         assert f"|e| <= {1e3 * move['error']:.2g} mm" in shown or move["reason"]
-    assert any(move["speed"] > 0.0 for move in moves)
+        assert contents["verdict"]["moves"]["speeds"][way] == move["speed"]
+    most = max(move["error"] for move in contents["moves"].values() if not move["reason"])
+    assert f"keeps |e| <= {1e3 * most:.2g} mm" in first
 
 
 @pytest.mark.long

@@ -27,7 +27,6 @@ from approxjac.scenario.starts import configuration_of
 from approxjac.simulation import Plant
 from approxjac.stability import Region, StabilityReport, Study, Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
-from approxjac.stability.search.certified_moves import Moves
 from approxjac.stability.search.map import PARAMETERS, own_values, require_parameters
 from approxjac.stability.search.tolerance import Test, Tolerance
 from approxjac.stability.studied_loop import Progress
@@ -50,7 +49,6 @@ class StabilityResult:
     study: Study
     report: StabilityReport
     tolerances: dict[Test, Tolerance] = field(default_factory=dict)  # scales of the errors
-    moves: Moves | None = None
     map: stability.StabilityMap | None = None
 
 
@@ -105,14 +103,14 @@ def analyse(
     execution = stability.Execution(executor=executor)
     runs = analysis.runs if isinstance(study.uncertainty, Uncertainty) else 0
     report = study.report(
-        analysis.configurations, runs=runs, execution=execution, progress=progress
+        analysis.configurations,
+        moves=analysis.moves,
+        runs=runs,
+        execution=execution,
+        progress=progress,
     )
     assert isinstance(report, StabilityReport)  # the laws of scenarios have certificates
     show(report)
-    moves = None
-    if analysis.moves:
-        ways = analysis.moves * np.eye(report.loop.controller.task.m)
-        moves = study.moves(np.concatenate([ways, -ways]))
     tolerances: dict[Test, Tolerance] = {}
     if uncertainty is not None and report.gravity_is_exact:  # as all tests but rollouts assume
         tolerances = study.tolerance(progress=progress)
@@ -122,7 +120,7 @@ def analyse(
         points = {name: _values(name, report.loop, uncertainty, n) for name in analysis.map}
         unlimited = replace(study, controller=report.loop.controller)
         map_ = unlimited.map(points, analysis.map_runs, execution=execution, progress=progress)
-    return StabilityResult(scenario, study, report, tolerances, moves, map_)
+    return StabilityResult(scenario, study, report, tolerances, map_)
 
 
 def _truth(arm: Robot, built: build.BuiltScenario, analysis: Analysis) -> Uncertainty | Plant:
@@ -185,8 +183,6 @@ def _values(name: str, loop: ClosedLoop, uncertainty: Uncertainty, count: int) -
 def consequences(result: StabilityResult, out: Path) -> str:
     """Return the errors tolerated, and the outcome of the map."""
     blocks: list[list[str]] = []
-    if result.moves is not None:
-        blocks.append([line for each in str(result.moves).split("\n") for line in wrapped(each)])
     if result.tolerances:
         how = "by a search on fewer configurations; a report may find less:"
         blocks.append([*wrapped(how), *map(str, result.tolerances.values())])
@@ -269,7 +265,6 @@ def summary(result: StabilityResult) -> dict[str, Any]:
             }
             for test, each in result.tolerances.items()
         },
-        "moves": result.moves and [vars(move) for move in result.moves.moves],
         "gains": result.report.loop.controller.diagonals._asdict(),
         "map": grid and {name: getattr(grid, name) for name in _OF_MAP},
         "scenario": asdict(result.scenario),

@@ -380,7 +380,8 @@ class Analysis:
         target: The one target; by default all targets within the region.
         configurations: Number of configurations that are drawn.
         runs: Number of rollouts, with the sensors, delays, duration and tolerance of a run.
-        moves: Length of moves along each axis, to both sides, whose certified speed is sought, m.
+        moves: Length of moves along each axis of a position, to both sides, whose certified speed
+            is sought, m; 0 seeks none.
         map: Two parameters of the stability map, of error, a, kv and damping.
         map_points: Values of each parameter of the map; 0 draws no map.
         map_runs: Rollouts at each point of the map.
@@ -401,7 +402,7 @@ class Analysis:
     target: Numbers | None = None
     configurations: int = at_least(2000, 20)
     runs: int = at_least(20)
-    moves: float = at_least(0.0)
+    moves: float = at_least(0.2, 0.0)
     map: tuple[str, str] = ("error", "a")
     map_points: int = at_least(8)
     map_runs: int = at_least(20, 1)

@@ -9,6 +9,7 @@ from approxjac.formatting import plain, wrapped
 _PARTS = {
     "tests": "tests",
     "beware": "beware",
+    "moves": "moves (eased along a line, from rest; certified by a search, not proven)",
     "limits": "torque limits",
     "rollouts": "rollouts (simulated, sampled, with delays)",
     "worst": "worst cases found (what to look at first)",
@@ -20,8 +21,8 @@ _PARTS = {
 class Row(NamedTuple):
     """A finding of a report."""
 
-    # part of the report: "verdict", "tests", "beware", "limits", "rollouts", "worst", "other law",
-    # or "about"
+    # part of the report: "verdict", "tests", "beware", "moves", "limits", "rollouts", "worst",
+    # "other law", or "about"
     part: str
     name: str  # name of the test
     verdict: str  # a word or two; "" if there is none

@@ -9,6 +9,7 @@ import numpy as np
 
 from approxjac.controllers import Latency
 from approxjac.controllers.controller import Controller
+from approxjac.errors import InvalidInputError
 from approxjac.interface import Target, TargetPath
 from approxjac.robots import Robot
 from approxjac.simulation import Plant, Sensing
@@ -20,6 +21,7 @@ from approxjac.stability.report.other_laws import OtherLawReport, near_targets
 from approxjac.stability.report.report import StabilityReport, report_of
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
 from approxjac.stability.rollouts.setting import RolloutSetting, with_engine
+from approxjac.stability.search.certified_moves import certified_moves
 from approxjac.tasks.analysis import fine_error
 from approxjac.validation import Array, as_integer, as_number, require
 
@@ -64,6 +66,7 @@ class StudiedLoop:
         self,
         configurations: int = 2000,
         *,
+        moves: float = 0.0,
         runs: int = 0,
         execution: Execution | None = None,
         progress: Progress = None,
@@ -80,6 +83,8 @@ class StudiedLoop:
         Args:
             configurations: Number of configurations, ≥ 20, half at corners and half inside of the
                 error box.
+            moves: Length of moves along each axis of a position, to both sides, whose certified
+                speed is sought [m], see `Study.moves`; 0 seeks none.
             runs: Number of rollouts to add; none by default.
             execution: Engine and executor of the rollouts.
             progress: Function called with the current work and the share done; True shows a bar.
@@ -91,6 +96,7 @@ class StudiedLoop:
         """
         controller, timing, seed = self.controller, self.timing, self.seed
         count = as_integer("configurations", configurations, 20)
+        moves = as_number("moves", moves, unit="m", minimum=0.0)
         tell = progress_report(progress)
         reason = uncovered(controller)
         loop = None if reason else self.loop()
@@ -100,7 +106,15 @@ class StudiedLoop:
             near = near_targets(setting, timing, count, partial(tell, "near targets"))
             return OtherLawReport(setting, timing, reason, *near, many)
         limiter: Any = controller if controller.limited_law is not None else None
-        return report_of(loop, timing, count, seed, tell, limiter, many)
+        report = report_of(loop, timing, count, seed, tell, limiter, many)
+        if moves and set(controller.task.units) == {"m"}:
+            tell("moves", 0.0)
+            ways = moves * np.eye(controller.task.m)
+            try:
+                report = replace(report, moves=certified_moves(self, [*ways, *-ways]))
+            except InvalidInputError as error:  # what the theorem does not cover
+                report = replace(report, unmoved=str(error).split(", got ")[0])
+        return report
 
     def rollouts(
         self,

@@ -24,6 +24,7 @@ from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLo
 from approxjac.stability.loop.samples import Samples
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rows import Row, about_timing, as_json, as_text, ms
+from approxjac.stability.search.certified_moves import Moves
 from approxjac.stability.search.worst import ROUNDS, Growth, fastest_growth, searched_test
 from approxjac.validation import Array
 
@@ -74,6 +75,8 @@ class StabilityReport:
         damped_q: The same where the Ĵ⁺ of learning is damped, which no certificate covers.
         seed: Seed of all random draws.
         limits: Room of the motors within torque limits; None without them.
+        moves: Certified moves; None if not requested, or not covered.
+        unmoved: Why moves are not covered, if they were requested; "" otherwise.
     """
 
     loop: ClosedLoop
@@ -88,6 +91,8 @@ class StabilityReport:
     damped_q: Array | None
     seed: int
     limits: EffortRoom | None = None
+    moves: Moves | None = None
+    unmoved: str = ""
 
     @property
     def gravity_is_exact(self) -> bool:
@@ -107,6 +112,13 @@ class StabilityReport:
         counts, if nothing contradicts it.
         """
         return not self.reason
+
+    @property
+    def covers(self) -> bool:
+        """True if something is certified, moves or starts, and nothing refuted."""
+        moving = self.moves is not None and any(move.speed for move in self.moves.moves)
+        starts = self.passed and not (isinstance(self.test, SampledTest) and self.test.level <= 0.0)
+        return not self.refuted and (moving or starts)
 
     @property
     def refuted(self) -> bool:
@@ -147,8 +159,11 @@ class StabilityReport:
     @cached_property
     def rows(self) -> list[Row]:
         """The findings: part of the report, test, verdict and figures."""
-        rows = [_verdict(self), _covers(self), _near(self), _function(self), _theorem1(self)]
-        rows += _beware(self)
+        moves = [] if self.moves is None else self.moves.rows
+        rows = [_verdict(self), *moves, _covers(self), _near(self), _function(self)]
+        rows += [_theorem1(self), *_beware(self)]
+        if self.unmoved:
+            rows.append(Row("moves", "any", "not covered", {}, self.unmoved))
         rows += [] if self.limits is None else _limits(self.limits)
         rows += [] if self.rollouts is None else self.rollouts.rows
         return [*rows, *_worst(self), *_about(self)]
@@ -270,15 +285,17 @@ def _covers(report: StabilityReport) -> Row:
 
 def _covered_starts(report: StabilityReport, sampled: SampledTest, figures: dict[str, Any]) -> str:
     """Describe the starts that a certificate covers, among the usual ones."""
-    e, unit = usual_errors(report), joined(report.loop.controller.task.units)
+    e, units = usual_errors(report), report.loop.controller.task.units
     energies = sampled.weights.at_rest(e, report.loop.controller.saturation)
     share, usual = float((energies <= sampled.level).mean()), np.median(np.linalg.norm(e, axis=1))
-    figures |= {"share": share, "usual": float(usual), "unit": unit}
-    figures["certified_error"] = sampled.certified_error
+    figures |= {"share": share, "usual": float(usual), "unit": joined(units)}
+    figures["certified_error"] = each = sampled.certified_error
+    least = {unit: min(each[k] for k in range(len(each)) if units[k] == unit) for unit in units}
+    alone = " or ".join(f"{value:.2g} {unit}" for unit, value in least.items())
     return (
-        f"From {f'{percent(share)} %' if share else 'none'} of the usual starts at rest "
-        f"({usual:.2g} {unit} from their target in the median) the error goes to zero, "
-        f"{_IF_IT_STAYS}."
+        f"The error goes to zero, {_IF_IT_STAYS}, from starts at rest with a coordinate off by up "
+        f"to {alone}: {percent(share)} % of the usual starts ({usual:.2g} {joined(units)} from "
+        "their target in the median)."
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -34,6 +34,7 @@ from approxjac.stability.certificates.moves import (
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Indices, Samples
+from approxjac.stability.rows import Row
 from approxjac.stability.search.worst import climb
 from approxjac.validation import Array, as_array, as_number
 
@@ -94,27 +95,38 @@ class Move:
     labels: tuple[str, ...]
     units: tuple[tuple[str, ...], tuple[str, ...]]
 
-    def __str__(self) -> str:
-        unit = joined(self.units[0])
-        length = float(np.linalg.norm(self.displacement))
-        far = f"{100.0 * length:.3g} cm" if unit == "m" else f"{length:.3g} {unit}"
+    @property
+    def way(self) -> str:
+        """The direction, such as "+x"."""
         (moving,) = np.nonzero(self.displacement)
-        way = numbers(self.displacement)
-        if len(moving) == 1:
-            way = f"{'+-'[int(self.displacement[moving[0]] < 0.0)]}{self.labels[moving[0]]}"
-        start = f"{far} along {way}"
-        if self.reason:
-            return f"{start}: no speed is certified, {self.reason}"
+        if len(moving) > 1:
+            return numbers(self.displacement)
+        return f"{'+-'[int(self.displacement[moving[0]] < 0.0)]}{self.labels[moving[0]]}"
+
+    @property
+    def length(self) -> str:
+        """The length with its unit, such as "20 cm"."""
+        unit, length = joined(self.units[0]), float(np.linalg.norm(self.displacement))
+        return f"{100.0 * length:.3g} cm" if unit == "m" else f"{length:.3g} {unit}"
+
+    @property
+    def bounds(self) -> str:
+        """The bounds as text."""
+        unit = joined(self.units[0])
         shown, factor = display_unit(unit)
         joints, away = self.units[1], []
         for each in dict.fromkeys(joints):
             most = max(d for d, u in zip(self.deviation, joints, strict=True) if u == each)
             away.append(f"{most:.2g} {each}")
         return (
-            f"{start} at up to {self.speed:.2g} {unit}/s ({self.duration:.2g} s): "
+            f"at up to {self.speed:.2g} {unit}/s ({self.duration:.2g} s): "
             f"|e| <= {factor * self.error:.2g} {shown}, joints within {' and '.join(away)} of "
             "their path"
         )
+
+    def __str__(self) -> str:
+        bounds = f": no speed is certified, {self.reason}" if self.reason else f" {self.bounds}"
+        return f"{self.length} along {self.way}{bounds}"
 
     def __repr__(self) -> str:
         return f"Move({self})"
@@ -140,6 +152,29 @@ class Moves:
 
     def __repr__(self) -> str:
         return f"Moves({'; '.join(map(str, self.moves))})"
+
+    @property
+    def rows(self) -> list[Row]:
+        """The moves as rows of a report: all in a sentence, and one for each direction."""
+        speeds: dict[str, list[str]] = {}
+        for move in sorted(self.moves, key=lambda each: -each.speed):
+            unit = joined(move.units[0])
+            speed = "at no certified speed" if move.reason else f"at {move.speed:.2g} {unit}/s"
+            speeds.setdefault(speed, []).append(move.way)
+        each = "; ".join(f"{', '.join(ways)} {speed}" for speed, ways in speeds.items())
+        text = f"Moves of {self.moves[0].length} from rest in the middle of the region: {each}"
+        if good := [move for move in self.moves if not move.reason]:
+            error, joints = max(m.error for m in good), np.max([m.deviation for m in good], axis=0)
+            bounds = replace(good[0], error=error, deviation=joints).bounds.split(": ")[1]
+            text += f". Every robot of the box keeps {bounds}, whatever the region"
+        done = {move.way: move.speed for move in self.moves}
+        rows = [Row("verdict", "moves", "", {"speeds": done}, f"{text}.")]
+        names = ("speed", "duration", "error", "deviation", "rate", "reason")
+        for move in self.moves:
+            figures = {name: getattr(move, name) for name in names}
+            said = ("none", move.reason) if move.reason else ("certified", move.bounds)
+            rows.append(Row("moves", move.way, said[0], figures, said[1]))
+        return rows
 
 
 def certified_moves(  # noqa: D417  # study is self
