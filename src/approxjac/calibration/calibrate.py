@@ -118,7 +118,7 @@ class Calibration(KinematicBelief):
 
     @property
     def coverage(self) -> str:
-        """How well the tip is known, where it was recorded and elsewhere, in a sentence."""
+        """A sentence on the accuracy of the tip, where it was recorded and elsewhere."""
         here, middle, most = map(_mm, self.tip_sd)
         text = f"known to {here} (sd) at the configurations recorded, {middle} in the median and "
         text += f"{most} at 95 % of the workspace"
@@ -420,7 +420,7 @@ def _spread(unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> float:
 
 
 def _predicted(accuracy: TipAccuracy, fitted: Fitted, samples: Recorded) -> float:
-    """Return what `_spread` is to be of samples left out, by covariance and noise [m]."""
+    """Return the expected `_spread` of samples left out, by covariance and noise [m]."""
     H = _about_sockets(accuracy.linear(samples.q)[1], samples)
     variances = np.einsum("nij,jk,nik->n", H, fitted.P, H)
     return float(np.sqrt(3.0 * fitted.noise[0] ** 2 + variances.mean()))
