@@ -59,7 +59,7 @@ class Detour(NamedTuple):
         return 7 + len(self.per_speed) + 3 * len(self.low)
 
     def stands(self, z: Array, J: Array, v: Array, alpha: Any) -> Any:
-        """Return whether q̇ reduces an error z at less than a tenth of the rate s(αz)."""
+        """Return True if q̇ reduces an error z at less than a tenth of the rate s(αz)."""
         far, (wanted, _) = self.per_speed * z, saturated(alpha * z, 0.0 * z, self.per_speed)
         return (-z.dot(J.dot(v)) < _HELD * z.dot(wanted)) & (far.dot(far) > _FAR**2)
 

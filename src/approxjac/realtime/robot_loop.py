@@ -149,7 +149,7 @@ class RobotLoop(Loop):
 
     @property
     def events(self) -> tuple[Event, ...]:  # type: ignore[override]
-        """What the monitor has detected so far."""
+        """Events of the monitor so far."""
         return tuple(self.monitor.events)
 
     def halt(self) -> None:

@@ -268,7 +268,7 @@ class KinematicRegressor(Immutable):
         )
 
     def origins(self, theta: Array) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
-        """Return what `errors` does of θ (N, p): (N, 3) each, but rotations as (N, 3, 3)."""
+        """Return `errors` of θ (N, p): (N, 3) each, but rotations as (N, 3, 3)."""
         change = (theta - self.theta)[:, : self.n_lengths].reshape(len(theta), -1, 3)
         change = np.moveaxis(change, 0, 1)
         above = {joint.child: joint for joint in self.robot.tree.joints.values()}

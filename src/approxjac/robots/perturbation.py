@@ -18,7 +18,7 @@ Place = tuple[Array, Array]
 
 
 class Changes(NamedTuple):
-    """What N robots have in place of what the model has, by indices of Pinocchio."""
+    """The parts of N robots that differ from the model, by indices of Pinocchio."""
 
     joints: dict[int, Place]
     frames: dict[int, Place]
@@ -87,7 +87,7 @@ class Perturbation(Immutable):
         return robot
 
     def changes(self, lengths: Array, masses: Array, shifts: Array, turns: Array) -> Changes:
-        """Return what N robots have in place of the base's model with all joints independent.
+        """Return the parts of N robots that differ from the base's model, all joints independent.
 
         Args:
             lengths: Lengths of the object, shape (N,) [m].
@@ -179,7 +179,7 @@ class _Parts:
             model.inertias[j] = _inertia(body[0])
 
     def changes(self, lengths: Array, masses: Array, shifts: Array, turns: Array) -> Changes:
-        """Return what N robots have in place of what the model has; see `Perturbation.changes`."""
+        """Return the parts of N robots that differ from the model; see `Perturbation.changes`."""
         at, bodies, new = self._at.copy(), self._bodies.copy(), Changes({}, {}, {}, None)
         if self._n is not None:
             tips = lengths[:, np.newaxis] * self._n

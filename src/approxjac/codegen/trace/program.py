@@ -296,7 +296,7 @@ class Schedule:
             region.places.sort()
 
     def _in_place(self, graph: Graph, wanted: list[int], before: Sequence[int]) -> list[int]:
-        """Return the results wanted; one that only a rare block changes is a result of this block."""
+        """Return the results wanted; one that only a rare block changes is a result of it."""
         nodes, (places, _) = self._nodes, graph.reached(wanted)
         uses = Counter(chain(wanted, *(nodes[place].arguments for place in places)))
         first: dict[int, int] = {}  # number of a rare block → its first result

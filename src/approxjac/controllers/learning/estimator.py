@@ -62,7 +62,7 @@ class Sight(NamedTuple):
 
 
 class Expectation(NamedTuple):
-    """What a state expects of frames to come.
+    """Expectation of the frames to come, by a state.
 
     Attributes:
         covariance: Covariance of what was learnt, shape (p, p).
@@ -459,7 +459,7 @@ class Estimator(Kinematics):
         return self._frames.last(state[at["frames"]].copy(), measurement, self._late(state))
 
     def expectation(self, state: Array) -> Expectation | None:
-        """Return what a state expects of frames; None, the default, if it cannot be told."""
+        """Return the expectation of frames by a state; None, the default, if there is none."""
         return None
 
     def seconds(self, state: Array) -> float:

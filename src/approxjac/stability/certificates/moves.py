@@ -47,7 +47,7 @@ class EasedLine(NamedTuple):
 
 
 class Tube(NamedTuple):
-    """Where the constants hold."""
+    """The set in which the constants hold."""
 
     R: Array  # largest distance of each joint from its robot's path, shape (n_v,) [rad or m]
     e: float  # largest |e| [unit of the task]
@@ -329,7 +329,7 @@ class MovingForm(SampledForm):
         return np.asarray(drift + (sizes["dh"] @ eta[..., None])[..., 0])
 
     def bounds(self, weights: Weights, tube: Tube, weighed: dict[str, Any]) -> Tube | None:
-        """Return what the formulas return if the constants hold in a tube.
+        """Return the bounds by the formulas if the constants hold in a tube.
 
         `weighed` are the largest of `weighed`. None where F or P is not positive.
         """
@@ -379,7 +379,7 @@ def _norm(A: Array) -> Array:
 
 
 def _are_positive(A: Array) -> NDArray[np.bool_]:
-    """Return which matrices of a stack are positive definite, (…)."""
+    """Return True for matrices of a stack that are positive definite, (…)."""
     try:
         np.linalg.cholesky(A)
     except np.linalg.LinAlgError:

@@ -436,7 +436,7 @@ class Uncertainty:
         return (float(length[0]), float(mass[0])), moved, turned
 
     def changes(self, values: Array) -> Changes:
-        """Return what the true robots at values (N, d) have in place of what the believed one has.
+        """Return the parts of the true robots at values (N, d) that differ from the believed one.
 
         Of all joints as independent ones; in a hundredth of the time that N times `robot` takes.
         """

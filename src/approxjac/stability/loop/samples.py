@@ -141,7 +141,7 @@ class TracedTerms(Immutable):  # in another process a copy makes machine code of
         return self._filled(self._numbers(plants), of_sensors)
 
     def numbers_at(self, truth: Uncertainty, values: Array) -> Array:
-        """Return what `numbers` does of the true robots at values (k, d), without cameras."""
+        """Return `numbers` of the true robots at values (k, d), without cameras."""
         belief, k = truth.belief(), len(values)
         frames = [all_frame_id(belief, frame) for frame in self._frames]
         known = arm_numbers(belief, self._frames)

@@ -184,7 +184,7 @@ def certified_moves(  # noqa: D417  # study is self
     start: Sequence[float] | Array | None = None,
     speed: float | None = None,
 ) -> Moves:
-    """Return how fast the target may move along lines, with bounds of ‖e‖ and of the joints.
+    """Find the largest speeds of the target along lines, with bounds of ‖e‖ and of the joints.
 
     The target begins at the measured tip of an arm at rest and is eased along each line, as by
     `paths.Line` or by `control`. Every robot of the box then stays within the bounds. The loop is
@@ -479,7 +479,7 @@ class MoveSearch:
         return MovingForm(samples, loop.setting, self._friction, self._hold, box.line, tube.nu)
 
     def _usual(self, samples: Samples) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return where Ĵ and JB⁻¹Ĵᵀ are regular, and where joints are inside their limits."""
+        """Return masks: Ĵ and JB⁻¹Ĵᵀ are regular; joints are inside their limits."""
         robot, controller = self._loop.region.robot, self._loop.controller
         low, high = robot.position_limits
         squares: Any = np.linalg.svd(samples.J_hat, compute_uv=False) ** 2
