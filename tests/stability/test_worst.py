@@ -449,7 +449,7 @@ class Needle(aj.stability.Region):
     """A path of configurations so thin that no random point is in it."""
 
     def __init__(self, robot):
-        self.robot, self.spread = robot, np.full(robot.nv, 0.1)
+        self.robot = robot
 
     def sample(self, n, rng):
         return np.array([0.4, 1.2]) + rng.uniform(0.0, 0.2, (n, 1))

@@ -28,11 +28,9 @@ class Region(ABC):
 
     Attributes:
         robot: A robot with the joints of the configurations.
-        spread: Typical width along each joint, shape (n_v,) [rad or m].
     """
 
     robot: Robot
-    spread: Array
 
     @abstractmethod
     def sample(self, n: int, rng: np.random.Generator) -> Array:
@@ -104,7 +102,6 @@ class JointBox(Region):
         middle = 0.5 * (self.lower + self.upper)
         self.center = moved(robot, self.center, middle)
         self.lower, self.upper = self.lower - middle, self.upper - middle
-        self.spread = self.upper - self.lower
 
     @classmethod
     def around(
@@ -121,7 +118,7 @@ class JointBox(Region):
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         # as rng.uniform, which takes its time
-        motions = self.lower + self.spread * rng.random((n, self.robot.nv))
+        motions = self.lower + (self.upper - self.lower) * rng.random((n, self.robot.nv))
         if self.robot.nq == self.robot.nv:
             return np.asarray(self.center + motions)
         return np.array([moved(self.robot, self.center, motion) for motion in motions])
@@ -133,7 +130,7 @@ class JointBox(Region):
     def __str__(self) -> str:
         if self._whole:
             return "all configurations within the joint limits"
-        radius, unit = 0.5 * self.spread, "rad" if set(self.robot.joint_units) == {"rad"} else ""
+        radius, unit = self.upper, "rad" if set(self.robot.joint_units) == {"rad"} else ""
         away = f"{numbers(radius)} {unit or 'rad or m'}" + (" each" if np.ptp(radius) else "")
         center = numbers(self.robot.angles(self.center))
         return f"configurations whose joints are within {away} of {center}"
@@ -160,8 +157,7 @@ class RegularPart(Region):
     def __init__(self, region: Region, task: Task, sigma_min: float) -> None:
         require("region", region, Region, "a Region, such as JointBox(robot)")
         require("task", task, Task, "a task of the believed robot, such as PositionTask(robot)")
-        self.robot, self.spread = region.robot, region.spread
-        self.region, self.task = region, task
+        self.robot, self.region, self.task = region.robot, region, task
         self.sigma_min = as_number("sigma_min", sigma_min, minimum=0.0)
 
     @property
