@@ -378,7 +378,7 @@ def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamic
     return fit, f"{text}; not distinguished from zero: {', '.join(small) or 'nothing'}"
 
 
-def _left_out(samples: Recorded) -> dict[str, Array]:
+def _left_out(samples: Recorded) -> dict[str, Any]:
     """Return the rows to leave out together: those of a place, or every fifth of a single place."""
     names, q = list(dict.fromkeys(samples.place.tolist())), samples.q
     if len(names) > 1:

@@ -35,7 +35,7 @@ class Recorded(NamedTuple):
     q: Array  # (N, nq)
     x: Array  # (N, 3), where a tracker saw the tip
     turn: Array  # (N, 3, 3), and how it was turned
-    frame: Any  # the tracker, or the name of the socket with that of its place
+    frame: Any  # names: of the tracker, or the name of the socket with that of its place
     place: Any
     row: Any  # what it is called
 
@@ -48,13 +48,12 @@ class Recorded(NamedTuple):
         """
         rows, counts = list[tuple[Any, ...]](), Counter[str]()
         for each in recordings:
-            seen, nothing = {*counts} - {TRACKER}, np.full((len(each), 3, 3), np.nan)
-            x, turns = nothing[:, 0] if each.x is None else each.x, nothing
-            if each.quaternion is not None:
-                turns = [pin.Quaternion(one).normalized().matrix() for one in each.quaternion]
-            for q, x_i, turn, socket, place in zip(
-                each.q, x, turns, each.socket, each.place, strict=True
-            ):
+            seen, turns = {*counts} - {TRACKER}, np.full((len(each), 3, 3), np.nan)
+            x = turns[:, 0] if each.x is None else each.x
+            for i, quaternion in enumerate(() if each.quaternion is None else each.quaternion):
+                turns[i] = pin.Quaternion(quaternion).normalized().matrix()
+            measured = zip(each.q, x, turns, each.socket, each.place, strict=True)
+            for q, x_i, turn, socket, place in measured:
                 frame = f"{place} {socket}".strip() if each.x is None else TRACKER
                 if frame in seen:
                     message = f"recordings must be of one socket each, got two of {frame!r}"

@@ -181,7 +181,7 @@ def _usual_ratio(usual: list[tuple[ImageTask, Array]]) -> float:
 def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
     sensor, robot = scene[0], scene[0].robot
     assert isinstance(sensor.camera, PinholeCamera)  # the scenes above have no other
-    images, size = _images(sensor, q), np.array(sensor.camera.size)
+    images, size = sensor.features[0].images(sensor.value(q)), np.array(sensor.camera.size)
     return (
         bool((robot.beyond_limits(q[np.newaxis]) <= 0.0).all())
         and bool(((images > _MARGIN * size) & (images < (1.0 - _MARGIN) * size)).all())
@@ -190,16 +190,13 @@ def _is_usable(scene: Scene, q: Array, ratio: float) -> bool:
     )
 
 
-def _images(sensor: ImageTask, q: Array) -> Array:
-    return np.asarray(sensor.value(q).reshape(len(sensor.points), -1)[:, :2])
-
-
 def _given_start(sensor: ImageTask, scenario: Scenario) -> Array | None:
     """Return the given start, in which the camera has to see all points; None if there is none."""
     if not isinstance(scenario.run.start, tuple):
         return None
     q0 = configuration_of(sensor.robot, "run.start", scenario.run.start)
-    for i, (image, Z) in enumerate(zip(_images(sensor, q0), sensor.depths(q0), strict=True), 1):
+    images = sensor.features[0].images(sensor.value(q0))
+    for i, (image, Z) in enumerate(zip(images, sensor.depths(q0), strict=True), 1):
         if not np.isfinite(sensor.camera.seen(image)).all():
             shown = f"at ({image[0]:.0f}, {image[1]:.0f}) px, outside its image"
             where = f"{-Z:.3g} m behind it" if Z <= 0.0 else shown
