@@ -190,7 +190,7 @@ MUTANTS = [
         WATCHES,
     ),
     (
-        "motors turn on behind a brake", "realtime/simulated_driver.py",
+        "motors turn on behind a brake", "realtime/driver.py",
         "self.motors = self.motors._replace(rate=self.v)", "pass",
         DRIVERS,
     ),
@@ -1319,13 +1319,13 @@ MUTANTS = [
         "tests/scenario/test_build.py",
     ),
     (
-        "camera turned before it is rolled", "scenario/image_setup.py",
+        "camera turned before it is rolled", "scenario/starts.py",
         "pin.exp3(np.array([0.0, 0.0, wrong.roll])) @ pin.exp3(np.array(wrong.rotation))",
         "pin.exp3(np.array(wrong.rotation)) @ pin.exp3(np.array([0.0, 0.0, wrong.roll]))",
         "tests/scenario/test_images.py",
     ),
     (
-        "camera that is not shifted", "scenario/image_setup.py",
+        "camera that is not shifted", "scenario/starts.py",
         "shift=np.array(wrong.shift) - [0.0, 0.0, back]",
         "shift=np.array([0.0, 0.0, -back])",
         "tests/scenario/test_images.py",
@@ -2120,7 +2120,7 @@ MUTANTS = [
         "tests/scenario/test_build.py",
     ),
     (
-        "constant depth without its factor", "scenario/image_setup.py",
+        "constant depth without its factor", "scenario/starts.py",
         "chosen, factor * depth\n",
         "chosen, depth\n",
         "tests/scenario/test_images.py",

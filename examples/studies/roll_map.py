@@ -20,7 +20,7 @@ from common import head, parser, plain_law, row, run_all, write
 import approxjac as aj
 from approxjac import view
 from approxjac.scenario import Scenario, build_scenario
-from approxjac.scenario.image_setup import image_scene
+from approxjac.scenario.starts import image_scene
 
 ROLLS = tuple(10.0 * i for i in range(13))  # [deg]
 RATIOS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # k_p / k_v [1/s]

@@ -241,24 +241,21 @@ class Immutable:
                 bound.arguments |= bound.arguments.pop(parameter.name)
         return {**bound.arguments, **self._changes}
 
-    def _call(self, **changes: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    def _recipe(self, **changes: Any) -> tuple[Any, ...]:
+        """Return the arguments of `_built` for a copy."""
         named, bound = self._arguments | changes, inspect.signature(type(self)).bind_partial()
         for parameter in bound.signature.parameters.values():
             if parameter.kind is not parameter.VAR_KEYWORD:
                 bound.arguments[parameter.name] = named.pop(parameter.name)
-        return bound.args, bound.kwargs | named
+        names = getattr(self, "_carried", ())  # of attributes that a copy has besides, if set
+        carried = {name: vars(self)[name] for name in names if name in vars(self)}
+        return type(self), bound.args, bound.kwargs | named, carried
 
     def _rebuilt(self, **changes: Any) -> Self:
-        return _built(type(self), *self._call(**changes), self._carries)
-
-    @property
-    def _carries(self) -> dict[str, Any]:
-        """The attributes that a copy has besides: those that `_carried` names, if set."""
-        carried = getattr(self, "_carried", ())
-        return {name: vars(self)[name] for name in carried if name in vars(self)}
+        return _built(*self._recipe(**changes))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _built, (type(self), *self._call(), self._carries)
+        return _built, self._recipe()
 
     def __setattr__(self, name: str, value: Any) -> None:
         derived = isinstance(getattr(type(self), name, None), (property, cached_property))
@@ -270,9 +267,7 @@ class Immutable:
         object.__setattr__(self, name, value)
 
 
-def _built(
-    kind: type[Any], given: tuple[Any, ...], named: dict[str, Any], carried: dict[str, Any]
-) -> Any:
+def _built(kind: Any, given: Any, named: dict[str, Any], carried: dict[str, Any]) -> Any:
     copy = kind(*given, **named)
     vars(copy).update(carried)
     return copy

@@ -245,13 +245,13 @@ def test_what_a_tracker_leaves_has_the_derivatives_of_its_differences(rng):
     arm = aj.load_robot("so101")
     unknowns = Unknowns(KinematicRegressor(arm, axes=True), ("tool", "axes"), USUAL_SD)
     R, T = (law.rotation_exp(rng.normal(size=3)) for _ in range(2))
-    samples = Recorded(*([] for _ in Recorded._fields))
+    rows = []
     for q in arm.configurations(6):
         H, o = unknowns.at(q, unknowns.u)
         turn = R @ unknowns.turn(q, unknowns.u).R @ T
-        row = q, R @ (o + H @ unknowns.u) + [0.3, -2.0, 1.0], turn, TRACKER, "room", "row"
-        for column, each in zip(samples, row, strict=True):
-            column.append(each)
+        x = R @ (o + H @ unknowns.u) + [0.3, -2.0, 1.0]
+        rows.append((q, x, turn, TRACKER, "room", "row"))
+    samples = Recorded(*map(np.array, zip(*rows, strict=True)))
 
     def left(step):
         fit = Fit(unknowns, samples, {}, 1.0)
@@ -350,7 +350,7 @@ def test_what_makes_no_sense_is_refused(true_arm, recorded, tmp_path):
     with pytest.raises(aj.InvalidInputError, match="cannot be read"):
         Recording.load(tmp_path / "none.csv")
     path.write_text("a,x\n1,2\n1,-\n")
-    with pytest.raises(aj.InvalidInputError, match=r"column x of .*log.csv, row 2 must hold .*'-'"):
+    with pytest.raises(aj.InvalidInputError, match=r"log.csv .*: column x, row 2 must hold .*'-'"):
         Recording.load(path)
     twice = [recordings[0], recordings[0]]
     with pytest.raises(aj.InvalidInputError, match="one socket each, got two of 'place 0 a'"):
@@ -512,8 +512,8 @@ def test_of_one_place_a_motion_is_left_out_in_pieces_and_other_rows_in_turn(rng)
     walk = np.cumsum(0.01 + 0.01 * rng.random((60, 3)), axis=0)
     pieces, turns = np.repeat(range(5), 12), np.tile(range(5), 12)
     for q, expected in ((walk, pieces), (rng.permutation(walk), turns)):
-        rest = [None] * 60, [None] * 60, ["a"] * 60, ["room"] * 60, ["row"] * 60
-        parts = _left_out(Recorded(list(q), *rest)).values()
+        rest = None, None, *(np.array([name] * 60) for name in ("a", "room", "row"))
+        parts = _left_out(Recorded(q, *rest)).values()
         assert_array_equal(np.array([*parts]), [expected == k for k in range(5)])
 
 

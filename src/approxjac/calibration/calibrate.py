@@ -230,7 +230,7 @@ def calibrate(
     tried = list[tuple[Fitted, Recorded, Recorded]]()
     drawn = Fit(tool, samples, lengths, 1.0).solved()
     for place, is_here in _left_out(samples).items():
-        here, others = samples.chosen(is_here), samples.chosen(np.logical_not(is_here))
+        here, others = samples.chosen(is_here), samples.chosen(~is_here)
         known, held_out = drawn, math.nan
         if _is_predicted(here, by=others):
             known = Fit(tool, others, lengths, 1.0).solved()
@@ -255,8 +255,7 @@ def calibrate(
     sizes = np.linalg.norm(best.left[:, :3], axis=1)
     far = sizes > _OUTLIER * best.noise[0]
     prior = unknowns.sd * np.where(unknowns.is_tool, 1.0, scale)
-    is_turned = any(each is not None for each in samples.turn)
-    turn = rotation_log(fitted.sensor[2]) if is_turned else None
+    turn = rotation_log(fitted.sensor[2]) if samples.is_turned else None
     robot = regressor.robot_with(theta := chosen.theta(fitted.u), turn)
     learnt = theta[[regressor.names.index(name) for name in unknowns.names]]
     off = best.u - learnt  # of a robot with its tool only
@@ -265,8 +264,8 @@ def calibrate(
         best.P + np.outer(off, off), regressor.rotations,
         (regressor.frames[0], regressor.frames[0] if robot.tip == arm.tip else str(robot.tip)),
         kinds, robot, np.clip(1.0 - best.P.diagonal() / prior**2, 0.0, 1.0), scale, best.noise,
-        tuple(places), dict(zip(samples.row, sizes.tolist(), strict=True)),
-        tuple(samples.chosen(far).row), is_better,
+        tuple(places), dict(zip(samples.row.tolist(), sizes.tolist(), strict=True)),
+        tuple(samples.row[far].tolist()), is_better,
         _why_not(unknowns, best, left, TRACKER in samples.frame), accuracy,
         *_torques(robot, [each for each in given if each.tau is not None]),
     )  # fmt: skip
@@ -379,13 +378,12 @@ def _torques(arm: Robot, recordings: Sequence[Recording]) -> tuple[FittedDynamic
     return fit, f"{text}; not distinguished from zero: {', '.join(small) or 'nothing'}"
 
 
-def _left_out(samples: Recorded) -> dict[str, Array]:
+def _left_out(samples: Recorded) -> dict[str, Any]:
     """Return the rows to leave out together: those of a place, or every fifth of a single place."""
-    places = np.array(samples.place)
-    names = list(dict.fromkeys(samples.place))
+    names, q = list(dict.fromkeys(samples.place.tolist())), samples.q
     if len(names) > 1:
-        return {name: places == name for name in names}
-    rows, q = np.arange(len(places)), np.array(samples.q)
+        return {name: samples.place == name for name in names}
+    rows = np.arange(len(q))
     step, apart = (
         np.median(np.linalg.norm(q - np.roll(q, k, axis=0), axis=1)) for k in (1, len(q) // 2)
     )
@@ -396,11 +394,10 @@ def _left_out(samples: Recorded) -> dict[str, Array]:
 
 def _halves(samples: Recorded) -> list[tuple[Recorded, Recorded]]:
     """Return the two halves whose postures differ most, each with the other."""
-    away = np.array(samples.q) - np.mean(samples.q, axis=0)
+    away = samples.q - samples.q.mean(axis=0)
     along = away @ np.linalg.svd(away, full_matrices=False)[2][0]
-    one, other = (
-        samples.chosen(np.equal(along > np.median(along), side)) for side in (True, False)
-    )
+    is_one = along > np.median(along)
+    one, other = samples.chosen(is_one), samples.chosen(~is_one)
     return [(one, other), (other, one)]
 
 
@@ -413,9 +410,8 @@ def _spread(unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> float:
     at = [unknowns.at(q, fitted.u) for q in samples.q]
     away = _about_sockets(np.array([o + H @ fitted.u for H, o in at]), samples)
     R, b, _ = fitted.sensor
-    for i, x in enumerate(samples.x):
-        if x is not None:
-            away[i] = R @ away[i] + b - x
+    for i in np.flatnonzero(samples.frame == TRACKER):
+        away[i] = R @ away[i] + b - samples.x[i]
     return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
@@ -428,9 +424,9 @@ def _predicted(accuracy: TipAccuracy, fitted: Fitted, samples: Recorded) -> floa
 
 def _about_sockets(values: Array, samples: Recorded) -> Array:
     """Return values of samples (N, …) without the mean of those at the same socket."""
-    values, frames = values.copy(), np.array(samples.frame)
+    values = values.copy()
     for frame in {*samples.frame} - {TRACKER}:
-        values[frames == frame] -= values[frames == frame].mean(axis=0)
+        values[samples.frame == frame] -= values[samples.frame == frame].mean(axis=0)
     return values
 
 

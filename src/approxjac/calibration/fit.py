@@ -30,14 +30,14 @@ _WEAK = 1.0  # 1/m² or 1/rad², of what is known of places and trackers: as goo
 
 
 class Recorded(NamedTuple):
-    """Rows of recordings, column by column."""
+    """Rows of recordings, column by column; NaN where nothing was measured."""
 
-    q: list[Array]
-    x: list[Array | None]  # where a tracker saw the tip
-    turn: list[Array | None]  # and how it was turned, (3, 3)
-    frame: list[str]  # the tracker, or the name of the socket with that of its place
-    place: list[str]
-    row: list[str]  # what it is called
+    q: Array  # (N, nq)
+    x: Array  # (N, 3), where a tracker saw the tip
+    turn: Array  # (N, 3, 3), and how it was turned
+    frame: Any  # names: of the tracker, or the name of the socket with that of its place
+    place: Any
+    row: Any  # what it is called
 
     @classmethod
     def of(cls, recordings: Sequence[Recording]) -> Recorded:
@@ -46,32 +46,31 @@ class Recorded(NamedTuple):
         Raises:
             InvalidInputError: Two recordings of one socket, by its name and that of its place.
         """
-        samples, counts = cls([], [], [], [], [], []), Counter[str]()
+        rows, counts = list[tuple[Any, ...]](), Counter[str]()
         for each in recordings:
-            seen = {*samples.frame} - {TRACKER}
-            for i, (q, socket, place) in enumerate(
-                zip(each.q, each.socket, each.place, strict=True)
-            ):
-                samples.q.append(q)
-                samples.x.append(None if each.x is None else each.x[i])
-                turn = None if each.quaternion is None else pin.Quaternion(each.quaternion[i])
-                samples.turn.append(None if turn is None else turn.normalized().matrix())
+            seen, turns = {*counts} - {TRACKER}, np.full((len(each), 3, 3), np.nan)
+            x = turns[:, 0] if each.x is None else each.x
+            for i, quaternion in enumerate(() if each.quaternion is None else each.quaternion):
+                turns[i] = pin.Quaternion(quaternion).normalized().matrix()
+            measured = zip(each.q, x, turns, each.socket, each.place, strict=True)
+            for q, x_i, turn, socket, place in measured:
                 frame = f"{place} {socket}".strip() if each.x is None else TRACKER
                 if frame in seen:
                     message = f"recordings must be of one socket each, got two of {frame!r}"
                     raise InvalidInputError(message, given=frame)
                 counts[frame] += 1
-                samples.frame.append(frame)
-                samples.place.append(place)
-                samples.row.append(f"{frame.strip(TRACKER[0])} row {counts[frame]}")
-        return samples
+                name = f"{frame.strip(TRACKER[0])} row {counts[frame]}"
+                rows.append((q, x_i, turn, frame, place, name))
+        return cls(*map(np.array, zip(*rows, strict=True) if rows else [()] * 6))
 
-    def chosen(self, which: Sequence[bool] | Array) -> Recorded:
+    @property
+    def is_turned(self) -> bool:
+        """True if a tracker saw how the tip was turned."""
+        return bool(np.isfinite(self.turn).any())
+
+    def chosen(self, which: Array) -> Recorded:
         """Return some of them."""
-        columns: Any = self
-        return Recorded(*(
-            [each for each, is_in in zip(column, which, strict=True) if is_in] for column in columns
-        ))  # fmt: skip
+        return Recorded(*(column[which] for column in self))
 
 
 class Fitted(NamedTuple):
@@ -120,16 +119,12 @@ class Fit:
         sockets = [name for name in frames if name != TRACKER]
         self._n, self._of_socket = n, {name: n + 3 * i for i, name in enumerate(sockets)}
         self._of_sensor = n + 3 * len(sockets)  # R, b and T
-        self._size = self._of_sensor + 3 * (2 * (TRACKER in frames) + any(self._is_turned))
+        self._size = self._of_sensor + 3 * (2 * (TRACKER in frames) + samples.is_turned)
         self.apart = {
             pair: distance for pair, distance in apart.items() if {*pair} <= {*self._of_socket}
         }
         self._u, self._c = unknowns.u.copy(), dict[str, Array]()
         self._R, self._b, self._T = np.eye(3), np.zeros(3), np.eye(3)
-
-    @property
-    def _is_turned(self) -> list[bool]:
-        return [turn is not None for turn in self.samples.turn]
 
     def solved(self) -> Fitted:
         """Return the best fit."""
@@ -172,7 +167,7 @@ class Fit:
         for i, (q, x, turn, frame, *_) in enumerate(zip(*samples, strict=True)):
             H, o = self.unknowns.at(q, u)
             p = o + H @ u
-            if x is None:
+            if frame != TRACKER:
                 where = self._of_socket[frame]
                 left[i, :3], J[i, :3, :n] = p - self._c[frame], H
                 J[i, :3, where : where + 3] = -np.eye(3)
@@ -180,7 +175,7 @@ class Fit:
             p = R @ p
             left[i, :3], J[i, :3, :n] = p + self._b - x, R @ H
             J[i, :3, at : at + 3], J[i, :3, at + 3 : at + 6] = -law.cross_matrix(p), np.eye(3)
-            if turn is not None:
+            if np.isfinite(turn).all():
                 R_f, _, _, of_u = self.unknowns.turn(q, u)
                 seen = R @ R_f @ self._T
                 left[i, 3:], J[i, 3:, :n] = law.rotation_log(seen @ turn.T), R @ of_u
@@ -210,18 +205,18 @@ class Fit:
     def _place(self) -> None:
         """Set places and the tracker as the believed arm has them."""
         samples, u = self.samples, self._u
-        p = [o + H @ u for H, o in (self.unknowns.at(q, u) for q in samples.q)]
-        points = np.array(p)
+        points = np.array([o + H @ u for H, o in (self.unknowns.at(q, u) for q in samples.q)])
         for name in self._of_socket:
-            self._c[name] = np.median(points[[frame == name for frame in samples.frame]], axis=0)
-        seen = np.array([x is not None for x in samples.x])
+            self._c[name] = np.median(points[samples.frame == name], axis=0)
+        seen = samples.frame == TRACKER
         if not seen.any():
             return
-        x, points = np.array([each for each in samples.x if each is not None]), points[seen]
+        x, points = samples.x[seen], points[seen]
         turned = [
             (self.unknowns.turn(q, u).R, turn)
-            for q, turn in zip(samples.q, samples.turn, strict=True) if turn is not None
-        ]  # fmt: skip
+            for q, turn in zip(samples.q, samples.turn, strict=True)
+            if np.isfinite(turn).all()
+        ]
         if turned:  # R_i R_jᵀ of the tracker is R (R_i R_jᵀ) Rᵀ of the arm, whatever the tool's T
             (first, shown), *others = turned
             ways = [
@@ -252,10 +247,10 @@ class TipAccuracy:
 
     def __init__(self, arm: Robot, unknowns: Unknowns, fitted: Fitted, samples: Recorded) -> None:
         self._unknowns, self._u, self._P, self.widening = unknowns, fitted.u, fitted.P, 1.0
-        self.recorded, self.workspace = np.array(samples.q), np.array([*arm.configurations(_MAP)])
-        tracked = [q for q, x in zip(samples.q, samples.x, strict=True) if x is not None]
+        self.recorded, self.workspace = samples.q, np.array([*arm.configurations(_MAP)])
+        tracked = samples.q[samples.frame == TRACKER]
         self._base = np.zeros((6, len(fitted.u)))  # its motion with the numbers
-        p, H = self.linear(tracked or self.workspace)
+        p, H = self.linear(tracked if len(tracked) else self.workspace)
         self._base = np.linalg.lstsq(np.concatenate(_motions(p)), np.concatenate(H), rcond=None)[0]
 
     def __call__(self, q: Sequence[Any] | Array) -> Array:

@@ -117,44 +117,13 @@ class Recording:
             MissingPackageError: The extra "ros2" or "lerobot" is not installed.
         """
         path = Path(require("path", path, (str, Path), "a file to read"))
-        if (numbers := _columns_of(path)) is not None:
-            return cls._of(numbers, path, place, socket)
         try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                lines = [line for line in file if line.strip() and not line.startswith("#")]
-            marks = ";" if lines and ";" in lines[0] else ","
-            rows = [[each.strip() for each in row] for row in csv.reader(lines, delimiter=marks)]
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidInputError(f"recording {path} cannot be read: {error}") from error
-        head = rows.pop(0) if rows and not _is_number(rows[0][0]) else []
-        width = len(head or (rows[0] if rows else ()))
-        if not rows or {len(row) for row in rows} != {width}:
-            message = f"recording {path} must have rows of equal length, and some, got {len(rows)}"
-            raise InvalidInputError(message, given=str(path))
-        numbers = dict[str, Any]()
-        for name, each in zip(head, zip(*rows, strict=True), strict=False):
-            if name in _NAMED:
-                numbers[name] = np.array(each)
-                continue
-            bad = [i for i, text in enumerate(each) if not _is_number(text)]
-            if bad and len(bad) < len(each):
-                where = f"column {name} of {path}, row {bad[0] + 1}"
-                message = f"{where} must hold a number, got {each[bad[0]]!r}"
-                raise InvalidInputError(message, given=str(path))
-            if not bad:
-                known = name.lower() in (*_POSITION, *_QUATERNION)
-                numbers[name.lower() if known else name] = np.array(each, dtype=float)
-        if not head:
-            if not all(map(_is_number, chain.from_iterable(rows))):
-                message = f"recording {path} must hold numbers, or have names in its first row"
-                raise InvalidInputError(message, given=str(path))
-            numbers[""] = np.array(rows, dtype=float)
-        return cls._of(numbers, path, place, socket)
-
-    @classmethod
-    def _of(
-        cls, columns: dict[str, Any], path: Path, place: str | None, socket: str | None
-    ) -> Recording:
+            columns = _READERS.get(path.suffix.lower(), _csv)(path)
+        except MissingPackageError:
+            raise
+        except Exception as error:  # each library raises its own
+            message = f"recording {path} cannot be read: {reason(error)}"
+            raise InvalidInputError(message, given=str(path)) from error
         at, held = (columns.pop(name, None) for name in ("place", "socket"))
         t, q = columns.pop("t", None), columns.pop("", None)
         x, quaternion = (
@@ -203,6 +172,33 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _csv(path: Path) -> dict[str, Any]:
+    """Return columns of numbers, places and sockets; without a header all numbers as ""."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        lines = [line for line in file if line.strip() and not line.startswith("#")]
+    marks = ";" if lines and ";" in lines[0] else ","
+    rows = [[each.strip() for each in row] for row in csv.reader(lines, delimiter=marks)]
+    head = rows.pop(0) if rows and not _is_number(rows[0][0]) else []
+    if not rows or {len(row) for row in rows} != {len(head or rows[0])}:
+        raise ValueError(f"it must have rows of equal length, and some, got {len(rows)}")
+    if not head:
+        if not all(map(_is_number, chain.from_iterable(rows))):
+            raise ValueError("it must hold numbers, or have names in its first row")
+        return {"": np.array(rows, dtype=float)}
+    columns = dict[str, Any]()
+    for name, each in zip(head, zip(*rows, strict=True), strict=True):
+        bad = [] if name in _NAMED else [i for i, text in enumerate(each) if not _is_number(text)]
+        if name in _NAMED:
+            columns[name] = np.array(each)
+        elif not bad:
+            known = name.lower() in (*_POSITION, *_QUATERNION)
+            columns[name.lower() if known else name] = np.array(each, dtype=float)
+        elif len(bad) < len(each):
+            where = f"column {name}, row {bad[0] + 1}"
+            raise ValueError(f"{where} must hold a number, got {each[bad[0]]!r}")
+    return columns
 
 
 def _mcap(path: Path) -> dict[str, Any]:
@@ -281,21 +277,3 @@ def _run(path: Path) -> dict[str, Any]:
 
 
 _READERS = {".mcap": _mcap, ".parquet": _parquet, ".npz": _run}
-
-
-def _columns_of(path: Path) -> dict[str, Any] | None:
-    """Return columns of a file by its ending, "" of all joints (N, nq); None of another kind.
-
-    Raises:
-        InvalidInputError: A file that cannot be read, or lacks what is needed.
-        MissingPackageError: The extra "ros2" or "lerobot" is not installed.
-    """
-    if (read := _READERS.get(path.suffix.lower())) is None:
-        return None
-    try:
-        return read(path)
-    except MissingPackageError:
-        raise
-    except Exception as error:  # each library raises its own
-        message = f"recording {path} cannot be read: {reason(error)}"
-        raise InvalidInputError(message, given=str(path)) from error

@@ -24,10 +24,10 @@ from approxjac.realtime.robot_loop import AT_REST, RobotLoop, require_able
 from approxjac.realtime.scheduling import Scheduling, StopSignals, real_time
 from approxjac.robots import Dynamics
 from approxjac.simulation.plant import Plant, VelocityServo
-from approxjac.simulation.simulate import Loop, Observer, require_fit, require_start, wanted_of
+from approxjac.simulation.simulate import Loop, Observer, require_fit, wanted_of
 from approxjac.simulation.trajectory import Trajectory
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import features
+from approxjac.tasks.analysis import features, require_unmirrored
 from approxjac.validation import Array, as_number, require
 
 _PERIOD = 1.0 / 30.0  # s, of observers
@@ -155,7 +155,8 @@ def control(
         held.enter_context(signals)  # a signal that comes while this begins is looked at, too
         held.callback(brake.close)  # whatever happens from here on
         first = require_at_rest(driver, task, tolerances.timeout)
-        require_start(task, wanted, first.x)
+        if isinstance(wanted, np.ndarray):
+            require_unmirrored(task, "target", wanted, first.x, "the measured x")
         loop = RobotLoop(brake, plant, controller, wanted, first, steps, tolerances, speeds, state)
         if not loop.learns_sensor:
             require_near(task, first.x)

@@ -18,7 +18,6 @@ from approxjac.paths import Circle, Line, Waypoints
 from approxjac.robots import Drives, Friction, GravityRegressor, KinematicBelief, Robot, load_robot
 from approxjac.robots.urdf import OBJECT_RADIUS
 from approxjac.scenario import starts
-from approxjac.scenario.image_setup import image_scene
 from approxjac.scenario.records import Numbers, Object, Sensor, Tracker, Vectors
 from approxjac.scenario.refusals import require_effect
 from approxjac.scenario.scenario import Scenario
@@ -107,7 +106,8 @@ def build_scenario(
     task: Task
     sensor: Task
     if scenario.task.kind == "image" and true.camera.kind == "pinhole":
-        (sensor, task), q0, q_goal = image_scene(truth, belief, arm.tip_or(None), scenario, rng)
+        scene, q0, q_goal = starts.image_scene(truth, belief, arm.tip_or(None), scenario, rng)
+        sensor, task = scene
         target = _target(sensor, q0, scenario, lambda: q_goal)
         if scenario.task.points > 1 and chosen.differentiator is None and not chosen.unknown:
             x_d = target if isinstance(target, np.ndarray) else target.at(0.0).x

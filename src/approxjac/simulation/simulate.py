@@ -29,7 +29,6 @@ from approxjac.simulation.sensing import SensorReadings
 from approxjac.simulation.trajectory import Record, Trajectory
 from approxjac.simulation.transmission import Motors
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import require_unmirrored
 from approxjac.validation import Array, as_array, as_integer, as_number, require, shape_of
 
 _STEP = 1e-3  # of the arm under a servo, at most [s]
@@ -66,12 +65,6 @@ def target_at(wanted: Wanted, t: float) -> Target | Array:
 def x_of(target: Target | Array) -> Array:
     """Return x_d, shape (n_x,)."""
     return target.x if isinstance(target, Target) else target
-
-
-def require_start(task: Task, wanted: Wanted, x: Array) -> None:
-    """Raise an InvalidInputError if a target at rest is mirrored against the measured x."""
-    if isinstance(wanted, np.ndarray):
-        require_unmirrored(task, "target", wanted, x, "the measured x")
 
 
 def diverged(t: float, duration: float, error: Exception) -> SimulationError:

@@ -35,6 +35,12 @@ class Feature(NamedTuple):
         own: Array = x[..., self.entries][..., : len(self.axes)]
         return own if self.placed is None else (own - self.placed[1]) @ self.placed[0]
 
+    def images(self, x: Array) -> Array:
+        """Return the images of the points in values (..., n_x), without depths, (..., k, 2)."""
+        own, k = x[..., self.entries], len(self.points)
+        images: Array = own.reshape(*own.shape[:-1], k, own.shape[-1] // k)
+        return images[..., :2]
+
 
 class Task(Immutable, Saved, ABC):
     """A task X = h(q) of one robot.

@@ -110,13 +110,13 @@ class RunFrames:
         if image is None:
             return {}
         images = {
-            "pixels": _pixels(image, _values(self.scene.sensor, q)),
-            "measured_pixels": _pixels(image, x_measured),
-            "target_pixels": _pixels(image, x_d),
+            "pixels": image.images(_values(self.scene.sensor, q)),
+            "measured_pixels": image.images(x_measured),
+            "target_pixels": image.images(x_d),
         }
         images["believed_pixels"] = np.full_like(images["pixels"], np.nan)
         if believed is not None and len(believed.points) == len(image.points):
-            images["believed_pixels"] = _pixels(believed, _values(self.scene.task, q))
+            images["believed_pixels"] = believed.images(_values(self.scene.task, q))
         return images
 
 
@@ -147,9 +147,3 @@ def _wrench(J: Array, torque: Array) -> Array:
 def _values(task: Task | None, q: Array) -> Array:
     assert task is not None  # it has an image
     return np.array([task.value(row) for row in q]).reshape(len(q), task.n_x)
-
-
-def _pixels(image: Feature, x: Array) -> Array:
-    """Return the images of the points in x (N, n_x), without their depths, shape (N, k, 2)."""
-    own = x[:, image.entries]
-    return own.reshape(len(x), len(image.points), own.shape[1] // len(image.points))[:, :, :2]
