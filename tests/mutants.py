@@ -1600,8 +1600,8 @@ MUTANTS = [
     ),
     (
         "covariance of a turn of the wrong sign", "controllers/learning/positions.py",
-        "T[n:P, P:] = -R.dot((law",
-        "T[n:P, P:] = R.dot((law", GATE,
+        "T[n:P, P:] = -R.dot((rotation",
+        "T[n:P, P:] = R.dot((rotation", GATE,
     ),
     (
         "commands change as in a millisecond", "controllers/tracking.py",

@@ -79,7 +79,7 @@ def test_limits_of_other_joints_are_refused(panda, options):
 
 
 def test_rate_bounds_never_leave_the_effort_limits():
-    lower, upper = law.rate_bounds(
+    lower, upper = law.limits.rate_bounds(
         np.array([0.9, -1.0]), np.array([200.0, np.inf]), 1e-3, -np.ones(2), np.ones(2)
     )
     assert_allclose(lower, [0.7, -1.0])

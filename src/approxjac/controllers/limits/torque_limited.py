@@ -20,6 +20,7 @@ from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.law import limits as limiting
 from approxjac.robots.traced import positions_at
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number, read_only, require
@@ -347,12 +348,12 @@ class TorqueLimited(ControllerWrapper):
             before = np.where(before > _SET, g, before)
             within = np.minimum(np.maximum(before, lower), upper)
             with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
-                lower, upper = law.rate_bounds(within, self._rate, dt, lower, upper)
+                lower, upper = limiting.rate_bounds(within, self._rate, dt, lower, upper)
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         is_free = law.all_equal(torque, wanted)
         status, slack = _FREE, 0.0
         if is_free is not True or self._looks_ahead:
-            asked = law.AskedTorque(wanted, lower, upper, torque, law.complement(is_free))
+            asked = limiting.AskedTorque(wanted, lower, upper, torque, law.complement(is_free))
             torque, status, slack, memory = self.limited(answer, g, measurement, asked, memory)
             if self._p:
                 after = self._rested(after, state, measurement, answer, torque, status, dt)
@@ -370,7 +371,7 @@ class TorqueLimited(ControllerWrapper):
         answer: Evaluation,
         gravity: Array,
         measurement: Measurement,
-        asked: law.AskedTorque,
+        asked: limiting.AskedTorque,
         memory: Array,
     ) -> tuple[Array, Any, Any, Array]:
         """Return the limited torque, its status, σ [W], and the new memory.
@@ -381,11 +382,11 @@ class TorqueLimited(ControllerWrapper):
         M_inv = partial(self._prediction.M_inv, measurement.q)
         output = partial(self._passive_output, answer, measurement.v) if self.proof else None
 
-        def brakes(M_inv: Array, bounds: law.TorqueRows) -> Array:
+        def brakes(M_inv: Array, rows: limiting.Rows, at_rest: Array) -> Array:
             lower, upper = asked.lower, asked.upper
             hold = np.minimum(np.maximum(gravity, lower), upper)
             rest, solver = -self._braking * measurement.v / rho, self._brakes.minimum
-            return law.braked(M_inv, bounds, lower, upper, rest, hold, solver)
+            return limiting.braked(M_inv, rows, at_rest, lower, upper, rest, hold, solver)
 
         residual = rows = None
         rho = self._one
@@ -448,7 +449,7 @@ class TorqueLimited(ControllerWrapper):
                 after[:p] += dt * self._law.rate_without(locked, state, measurement, answer)
         return after
 
-    def rows(self, measurement: Measurement) -> law.Rows:
+    def rows(self, measurement: Measurement) -> limiting.Rows:
         """Return the bounds of motion at a configuration and speed."""
         t, q, v, *_ = measurement
         speeds = law.speed_bounds(positions_at(self.task.robot, q), self._joints)
@@ -456,11 +457,11 @@ class TorqueLimited(ControllerWrapper):
         if self._acceleration is not None:
             bounds = np.minimum(np.maximum(bounds, -self._acceleration), self._acceleration)
         if not self.motion_limits:
-            return law.Rows(*bounds)
+            return limiting.Rows(*bounds)
         terms = self._terms(q, v)
         more = [rows_at(limit, terms, self._dt, t) for limit in self.motion_limits]
         E, lows, highs = zip(*more, strict=True)
-        return law.Rows(
+        return limiting.Rows(
             np.concatenate([bounds[0], *lows]),
             np.concatenate([bounds[1], *highs]),
             np.concatenate(E),
@@ -469,7 +470,9 @@ class TorqueLimited(ControllerWrapper):
     def is_exceeded(self, measurement: Measurement) -> Any:
         """Return True if a joint is beyond its limits of speed or position."""
         q, v = positions_at(self.task.robot, measurement.q), measurement.v
-        return law.complement(law.within(self._beyond[0], q.tolist() + v.tolist(), self._beyond[1]))
+        return law.complement(
+            limiting.within(self._beyond[0], q.tolist() + v.tolist(), self._beyond[1])
+        )
 
     def _terms(self, q: Array, v: Array) -> LimitTerms:
         return LimitTerms(
@@ -484,7 +487,7 @@ class TorqueLimited(ControllerWrapper):
             y = y - answer.reference
         if self._per_speed is None:
             return y, self._rho
-        return y, self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
+        return y, self._rho / limiting.largest(((y - v) * self._per_speed).tolist(), 1.0)
 
     def __repr__(self) -> str:
         numbers = f"dt={self._dt:g}, braking={self.braking:g}"
