@@ -398,17 +398,6 @@ class Scalar:
         arrays = [symbols([next(values) for _ in a.flat]).reshape(a.shape) for a, _ in pairs]
         return tuple(each[()] for each in arrays)
 
-    def altered(self, after: Any, before: Any) -> Any:
-        """Return one array where it holds, the other elsewhere: of what differs, see `choose`."""
-        result, changed = symbols(before), symbols(after)
-        differs = [
-            i
-            for i, (a, b) in enumerate(zip(changed.tolist(), result.tolist(), strict=True))
-            if not _is_same(a, b)
-        ]
-        result[differs] = self.graph.rare(self, changed[differs].tolist(), result[differs].tolist())
-        return result
-
     def looped(self, *arguments: Any) -> Any:
         """Do as `law.collect`."""
         return _looped(*arguments)
@@ -848,6 +837,11 @@ def _product(A: Any, b: Symbols) -> Symbols:
 def symbols(values: Any) -> Symbols:
     """Return numbers or symbols as an array."""
     return np.array(values, dtype=object).view(SymbolArray)
+
+
+def graph_of(values: Symbols) -> Graph:
+    """Return the graph of an array's symbols."""
+    return next(each.graph for each in values.ravel().tolist() if isinstance(each, Scalar))
 
 
 def inputs(graph: Graph, name: str, shape: int | tuple[int, ...]) -> Symbols:
