@@ -65,7 +65,7 @@ MUTANTS = [
     ),
     # -- what strangers' faults survived in: the third audit
     (
-        "the drift of the tip for that of a named frame", "controllers/limits/limit.py",
+        "the drift of the tip for that of a named frame", "controllers/limits/limits.py",
         "terms.drift(self.frame)[", "terms.drift()[",
         "tests/controllers/test_motion_limits.py",
     ),

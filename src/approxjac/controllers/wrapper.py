@@ -12,8 +12,7 @@ from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.gains.gains import Latency
 from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
-from approxjac.controllers.limits.limit import Limit
-from approxjac.controllers.limits.limits import Limits
+from approxjac.controllers.limits.limits import Limit, Limits
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import shown
 from approxjac.interface import Measurement

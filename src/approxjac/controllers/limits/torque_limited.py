@@ -14,8 +14,14 @@ from approxjac.controllers.arguments import HUGE, require_dt, sampling_time
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
 from approxjac.controllers.guard import usual_accelerations
-from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows, rows_at
-from approxjac.controllers.limits.limits import Limits, sure_deceleration
+from approxjac.controllers.limits.limits import (
+    Limit,
+    Limits,
+    LimitTerms,
+    require_rows,
+    rows_at,
+    sure_deceleration,
+)
 from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
