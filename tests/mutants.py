@@ -2471,9 +2471,9 @@ MUTANTS = [
         "tests/simulation/test_engines.py",
     ),
     (
-        "motion of continuous joints by the wrong arctangent", "codegen/arm/rigid_body.py",
-        "motion.append(products.angle(sine, cosine))",
-        "motion.append(products.angle(cosine, sine))", "tests/codegen/test_lanes.py",
+        "motion of continuous joints by the wrong arctangent", "robots/traced.py",
+        "motion.append(np.arctan2(sine, cosine))",
+        "motion.append(np.arctan2(cosine, sine))", "tests/codegen/test_lanes.py",
     ),
     (
         "exp of −800 in machine code", "codegen/trace/symbols.py",

@@ -635,20 +635,6 @@ class SymbolArray(np.ndarray):
 
         return arm_at(self, robot)
 
-    @staticmethod
-    def moved(robot: Any, q: Any, motion: Any) -> Any:
-        """Do as `robots.traced.moved`."""
-        from approxjac.codegen.arm.rigid_body import moved
-
-        return moved(robot, symbols(q), symbols(motion))
-
-    @staticmethod
-    def motion_between(robot: Any, a: Any, b: Any) -> Any:
-        """Do as `robots.traced.motion_between`."""
-        from approxjac.codegen.arm.rigid_body import difference
-
-        return difference(robot, symbols(a), symbols(b))
-
 
 Values = tuple[Any, ...]
 
