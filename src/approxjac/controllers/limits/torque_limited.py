@@ -82,13 +82,13 @@ class AccelerationObserver:
     def __init__(self, controller: Controller, dt: float, rate: float, fastest: Array) -> None:
         robot = controller.task.robot
         self.dynamics, self.has_weight = controller.believed_dynamics()
-        self._n, self._rotors = robot.nv, None
+        self._n, self.rotors = robot.nv, None
         self._least, self._largest = _LIGHTEST, 1.0
         if controller.rotors is not None:
-            self._rotors, inertias = np.diag(controller.rotors), usual_inertias(robot)
+            self.rotors, inertias = np.diag(controller.rotors), usual_inertias(robot)
             mobility, geared = (
                 np.linalg.inv(M).diagonal(axis1=1, axis2=2).max(axis=0)
-                for M in (inertias, inertias + self._rotors)
+                for M in (inertias, inertias + self.rotors)
             )
             self._least, self._largest = _GEARED, mobility / geared
         self._dt, self._per_period, self._share = dt, np.array(1.0 / dt), np.array(rate * dt)
@@ -135,16 +135,7 @@ class AccelerationObserver:
         """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""
         _, q, v, _, _ = measurement
         torque = torque if self.has_weight else torque - gravity
-        if self._rotors is None:
-            return self.dynamics.forward(q, v, torque)
-        bias = self.dynamics.inverse(q, v, 0.0 * v)
-        return np.asanyarray(np.linalg.solve(self.dynamics.M(q) + self._rotors, torque - bias))
-
-    def M_inv(self, q: Array) -> Array:
-        """Return the inverse of the inertia matrix, with rotors; shape (n_v, n_v)."""
-        if self._rotors is None:
-            return self.dynamics.M_inv(q)
-        return np.asanyarray(np.linalg.solve(self.dynamics.M(q) + self._rotors, np.eye(self._n)))
+        return self.dynamics.forward(q, v, torque, self.rotors)
 
     def expecting(self, measurement: Measurement, f: Array, memory: Array) -> Array:
         """Return the memory after sending a torque with this f."""
@@ -385,7 +376,7 @@ class TorqueLimited(ControllerWrapper):
         It runs on symbols, too. `gravity` is the gravity torque in the law's answer, shape (n_v,).
         """
         forward = partial(self._prediction.forward, measurement, gravity)
-        M_inv = partial(self._prediction.M_inv, measurement.q)
+        M_inv = partial(self._prediction.dynamics.M_inv, measurement.q, self._prediction.rotors)
         output = partial(self._passive_output, answer, measurement.v) if self.proof else None
 
         def brakes(M_inv: Array, rows: limiting.Rows, at_rest: Array) -> Array:
