@@ -458,8 +458,8 @@ MUTANTS = [
     # -- those that were asked for
     (
         "rate takes 1 ms for dt", "controllers/limits/torque_limited.py",
-        "rate_bounds(within, self._rate, dt, lower, upper)",
-        "rate_bounds(within, self._rate, 1e-3, lower, upper)", PERIODS,
+        "np.minimum(upper, within + dt * self._rate)",
+        "np.minimum(upper, within + 1e-3 * self._rate)", PERIODS,
     ),
     (
         "room of motors without abs", "stability/certificates/limit_cost.py",
@@ -686,8 +686,9 @@ MUTANTS = [
     ),
     # -- limits and the limiter
     (
-        "rate within one side only", "law/limits.py",
-        "np.minimum(upper, before + dt * rate)", "np.maximum(upper, before + dt * rate)", PERIODS,
+        "rate within one side only", "controllers/limits/torque_limited.py",
+        "np.minimum(upper, within + dt * self._rate)",
+        "np.maximum(upper, within + dt * self._rate)", PERIODS,
     ),
     (
         "torque before not within the efforts", "controllers/limits/torque_limited.py",
@@ -1701,7 +1702,7 @@ MUTANTS = [
     ),
     (
         "joints' own torques are learnt as without rotors", "controllers/adaptive_dynamics.py",
-        "rotors = np.diag(self.rotor_inertia)\n", "rotors = 0.0 * np.diag(self.rotor_inertia)\n",
+        "np.linalg.inv(M_inv) + np.diag(self.rotor_inertia)", "np.linalg.inv(M_inv)",
         "tests/scenario/test_scenario.py",
     ),
     (

@@ -78,14 +78,6 @@ def test_limits_of_other_joints_are_refused(panda, options):
         aj.TorqueLimited(controller, aj.Limits(**options))
 
 
-def test_rate_bounds_never_leave_the_effort_limits():
-    lower, upper = law.limits.rate_bounds(
-        np.array([0.9, -1.0]), np.array([200.0, np.inf]), 1e-3, -np.ones(2), np.ones(2)
-    )
-    assert_allclose(lower, [0.7, -1.0])
-    assert_allclose(upper, [1.0, 1.0])
-
-
 def test_speed_bounds_let_a_joint_come_to_its_limit_exponentially():
     motion, joint = np.array([0.5]), law.JointRange.of([[-1.0], [1.0]], INF, 10.0, INF)
     for _ in range(1000):

@@ -96,7 +96,7 @@ def test_the_best_rotation_is_a_maximum(d, rng):
     for k in range(40):
         root, h = rng.standard_normal((d * d, 1 + k % 5)), rng.standard_normal(d * d)
         M, A = root @ root.T, law.nearest_rotation(rng.standard_normal((d, d)))
-        curved = law.rotation.rotation_information(M, h, A)
+        curved = law.rotation.derivatives(M, h, A)[1]
         assert_allclose(curved, curved.T, atol=1e-12 * np.abs(curved).max())
         best = A
         for _ in range(10):
@@ -106,9 +106,7 @@ def test_the_best_rotation_is_a_maximum(d, rng):
         value = law.rotation.explained(M, h, best)
         slope = law.rotation.tangents(best).T @ (M @ best.ravel() + h)
         assert_allclose(slope, 0.0, atol=1e-9 * (1.0 + np.abs(M).max()))
-        assert (
-            np.linalg.eigvalsh(law.rotation.rotation_information(M, h, best))[0] > -1e-9
-        )  # no saddle
+        assert np.linalg.eigvalsh(law.rotation.derivatives(M, h, best)[1])[0] > -1e-9  # no saddle
         turn, e = rng.standard_normal(len(G)), 1e-4
         after, before = (
             law.rotation.explained(M, h, law.rotation_exp(s * turn) @ best) for s in (e, -e)
@@ -116,7 +114,7 @@ def test_the_best_rotation_is_a_maximum(d, rng):
         assert after - before == pytest.approx(0.0, abs=1e-7 * abs(value))
         curvature = (after - 2.0 * value + before) / e**2
         assert curvature == pytest.approx(
-            -turn @ law.rotation.rotation_information(M, h, best) @ turn, rel=1e-3
+            -turn @ law.rotation.derivatives(M, h, best)[1] @ turn, rel=1e-3
         )
         moved = (law.rotation_exp(e * turn) @ best - law.rotation_exp(-e * turn) @ best) / (2 * e)
         assert_allclose(law.rotation.tangents(best) @ turn, moved.ravel(), atol=1e-6)

@@ -88,16 +88,6 @@ def power_zero(
     return here + share * (there - here)
 
 
-def rate_bounds(
-    before: Array, rate: Array, dt: float, lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """Return bounds (n_v,) that the last torque can also reach in one step of dt [s].
-
-    The last torque lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
-    """
-    return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
-
-
 def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: Array) -> Array:
     """Return the largest signed speed towards a limit at the distance `left`; negative beyond it.
 

@@ -309,7 +309,7 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
         A, value, is_done = values
         if surely(is_done):
             return values
-        slope, curvature = _derivatives(M, h, A)
+        slope, curvature = derivatives(M, h, A)
         turn, is_concave = _newton_step(slope, curvature)
         new = rotation_exp(turn).dot(A)
         is_small = is_concave & (length(turn) < _CONVERGED)
@@ -328,18 +328,13 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
     return nearest_rotation(repeat(_NEWTON_STEPS, step, start)[0])
 
 
-def rotation_information(M: Array, h: Array, A: Array) -> Array:
-    """Return the negative second derivative of `explained` along δ of A ← exp([δ]ₓ)A."""
-    return _derivatives(M, h, A)[1]
-
-
 def tangents(A: Array) -> Array:
     """Return ∂vec(exp([δ]ₓ)A)/∂δ at δ = 0, shape (d², 1 or 3)."""
     return np.asanyarray((generators(len(A)) @ A).reshape(-1, A.size).T)
 
 
-def _derivatives(M: Array, h: Array, A: Array) -> tuple[Array, Array]:
-    """Return the gradient and the negative Hessian of `explained` along δ."""
+def derivatives(M: Array, h: Array, A: Array) -> tuple[Array, Array]:
+    """Return the gradient and the negative Hessian of `explained` along δ of A ← exp([δ]ₓ)A."""
     moved, rise = tangents(A).T, M.dot(A.ravel()) + h
     bent = _PRODUCTS[len(A)].dot(rise.reshape(A.shape).dot(A.T).ravel())
     bent = bent.reshape(len(moved), -1)

@@ -797,7 +797,7 @@ class _UnknownRotation(_KnownRotation):
         # that of the least squares: rotation first, all else given the rotation
         N, a, B, E, Theta, A = self._split(numbers)
         found, M, h = _reduced(N, a, B, E)
-        known, axes = np.linalg.eigh(rotation.rotation_information(M, h, A))
+        known, axes = np.linalg.eigh(rotation.derivatives(M, h, A)[1])
         # of δ, with A ← exp([δ]ₓ)A; nothing is known less well than before
         of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
         moved = np.concatenate([found[:, 1:].dot(rotation.tangents(A)), np.eye(len(of_delta))])

@@ -345,7 +345,8 @@ class TorqueLimited(ControllerWrapper):
             before = np.where(before > _SET, g, before)
             within = np.minimum(np.maximum(before, lower), upper)
             with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
-                lower, upper = limiting.rate_bounds(within, self._rate, dt, lower, upper)
+                lower = np.maximum(lower, within - dt * self._rate)
+                upper = np.minimum(upper, within + dt * self._rate)
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         is_free = law.all_equal(torque, wanted)
         status, slack = _FREE, 0.0
