@@ -757,7 +757,8 @@ def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], st
     kept: list[tuple[int, ...]] = []  # shapes of what is collected
 
     def flattened(values: Values) -> list[Number]:
-        return [number for each in values for number in symbols(each).ravel().tolist()]
+        numbers = (number for each in values for number in symbols(each).ravel().tolist())
+        return [select(each, 1.0, 0.0) if _is_condition(each) else each for each in numbers]
 
     def split(numbers: Sequence[Number], shapes: Sequence[tuple[int, ...]]) -> Values:
         ends = np.cumsum([math.prod(shape) for shape in shapes]).tolist()
@@ -771,15 +772,12 @@ def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], st
         known = [each == 1.0 if is_truth else each for each, is_truth in pairs]
         return split(known, [each.shape for each in arrays])
 
-    def numbers_of(values: Sequence[Number]) -> list[Number]:
-        return [select(each, 1.0, 0.0) if _is_condition(each) else each for each in values]
-
     def written(i: Scalar, before: list[Number]) -> tuple[list[Number], list[Number]]:
         after, row = body(i, restored(before))
         kept[:] = [symbols(each).shape for each in row]
-        return numbers_of(flattened(after)), numbers_of(flattened(row))
+        return flattened(after), flattened(row)
 
-    left, rows = graph.loop(count, numbers_of(flat), written)
+    left, rows = graph.loop(count, flattened(start), written)
     columns = zip(*(split(row, kept) for row in rows), strict=True)
     return restored(left), tuple(np.stack(column) for column in columns)
 
