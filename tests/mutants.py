@@ -175,7 +175,7 @@ MUTANTS = [
         "tests/scenario/test_build.py",
     ),
     (
-        "the whole Jacobian without its weight", "controllers/pseudoinverse.py",
+        "the whole Jacobian without its weight", "law/steps.py",
         "self._weighted(whole)", "whole",
         "tests/law/test_pseudoinverse.py",
     ),

@@ -78,9 +78,8 @@ from approxjac.law.saturation import Linear as Linear
 from approxjac.law.saturation import Saturation as Saturation
 from approxjac.law.saturation import Sine as Sine
 from approxjac.law.saturation import Tanh as Tanh
+from approxjac.law.steps import Pseudoinverse as Pseudoinverse
 from approxjac.law.steps import SetpointTerms as SetpointTerms
-from approxjac.law.steps import Singularity as Singularity
-from approxjac.law.steps import damped_pinv as damped_pinv
 from approxjac.law.steps import estimated_velocity_torque as estimated_velocity_torque
 from approxjac.law.steps import gravity as gravity
 from approxjac.law.steps import hold_moved as hold_moved
