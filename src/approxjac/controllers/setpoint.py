@@ -14,7 +14,7 @@ from approxjac.controllers.arguments import FLOAT64, HUGE, overflow, require_arr
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.friction import FrictionCompensation
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
-from approxjac.controllers.gains.sample_configurations import max_damping_rate
+from approxjac.controllers.gains.sample_configurations import max_damping_rate, singular_ratio
 from approxjac.controllers.gains.tuning import (
     UNKNOWN_TOOL,
     Tuning,
@@ -31,7 +31,6 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.posture import AwayFromStops, Posture
-from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.controllers.saturation import describe_saturation, require_saturation
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target

@@ -25,13 +25,12 @@ from approxjac.controllers.gains.motors import (
     slow_feedback,
     strong_drives,
 )
-from approxjac.controllers.gains.sample_configurations import max_damping_rate
+from approxjac.controllers.gains.sample_configurations import max_damping_rate, singular_ratio
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.posture import require_redundant
-from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
