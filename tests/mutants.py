@@ -1626,8 +1626,8 @@ MUTANTS = [
     ),
     (
         "stops beside continuous joints by q", "controllers/tracking.py",
-        "law.speed_bounds(positions_at(self._robot, q), self._joints)",
-        "law.speed_bounds(q[: len(v)], self._joints)", "tests/controllers/test_tracking.py",
+        "self._joints.speed_bounds(positions_at(self._robot, q))",
+        "self._joints.speed_bounds(q[: len(v)])", "tests/controllers/test_tracking.py",
     ),
     (
         "self-motion by the rate of an angle", "controllers/tracking.py",

@@ -31,7 +31,6 @@ from approxjac.law.limits import acceleration_bounds as acceleration_bounds
 from approxjac.law.limits import approach_speed as approach_speed
 from approxjac.law.limits import limit_step as limit_step
 from approxjac.law.limits import limited_torque as limited_torque
-from approxjac.law.limits import speed_bounds as speed_bounds
 from approxjac.law.linearization import LinearLaw as LinearLaw
 from approxjac.law.linearization import closed_loop_matrix as closed_loop_matrix
 from approxjac.law.linearization import frame_map as frame_map

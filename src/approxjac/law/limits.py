@@ -125,15 +125,13 @@ class JointRange(NamedTuple):
         knee = both + np.minimum(deceleration, _FAR) / approach
         return cls(np.asarray(ends), both + fastest, np.array(approach), knee)
 
+    def speed_bounds(self, motion: Array) -> Array:
+        """Return the smallest and largest speeds, (2, n_v), by `approach_speed`.
 
-def speed_bounds(motion: Array, joints: JointRange) -> Array:
-    """Return the smallest and the largest speed of each joint, shape (2, n_v); `approach_speed`.
-
-    A joint beyond its range has to return, within its speed limit. `motion` are joint positions,
-    shape (n_v,) [rad or m].
-    """
-    ends, fastest, approach, knee = joints
-    return approach_speed(ends - motion, fastest, approach, knee)
+        A joint beyond its range has to return, within its speed limit. `motion` are joint
+        positions, shape (n_v,) [rad or m].
+        """
+        return approach_speed(self.ends - motion, *self[1:])
 
 
 def acceleration_bounds(

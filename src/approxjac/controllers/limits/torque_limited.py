@@ -450,7 +450,7 @@ class TorqueLimited(ControllerWrapper):
     def rows(self, measurement: Measurement) -> limiting.Rows:
         """Return the bounds of motion at a configuration and speed."""
         t, q, v, *_ = measurement
-        speeds = law.speed_bounds(positions_at(self.task.robot, q), self._joints)
+        speeds = self._joints.speed_bounds(positions_at(self.task.robot, q))
         bounds = law.acceleration_bounds(v, speeds, self._braking, self._jerk)
         if self._acceleration is not None:
             bounds = np.minimum(np.maximum(bounds, -self._acceleration), self._acceleration)
