@@ -65,7 +65,7 @@ MUTANTS = [
     ),
     # -- what strangers' faults survived in: the third audit
     (
-        "the drift of the tip for that of a named frame", "controllers/limits/limit.py",
+        "the drift of the tip for that of a named frame", "controllers/limits/limits.py",
         "terms.drift(self.frame)[", "terms.drift()[",
         "tests/controllers/test_motion_limits.py",
     ),
@@ -165,7 +165,7 @@ MUTANTS = [
         "tests/scenario/test_build.py",
     ),
     (
-        "the whole Jacobian without its weight", "controllers/pseudoinverse.py",
+        "the whole Jacobian without its weight", "law/steps.py",
         "self._weighted(whole)", "whole",
         "tests/law/test_pseudoinverse.py",
     ),
@@ -448,8 +448,8 @@ MUTANTS = [
     # -- those that were asked for
     (
         "rate takes 1 ms for dt", "controllers/limits/torque_limited.py",
-        "rate_bounds(within, self._rate, dt, lower, upper)",
-        "rate_bounds(within, self._rate, 1e-3, lower, upper)", PERIODS,
+        "np.minimum(upper, within + dt * self._rate)",
+        "np.minimum(upper, within + 1e-3 * self._rate)", PERIODS,
     ),
     (
         "room of motors without abs", "stability/certificates/certificate.py",
@@ -649,8 +649,9 @@ MUTANTS = [
     ),
     # -- limits and the limiter
     (
-        "rate within one side only", "law/limits.py",
-        "np.minimum(upper, before + dt * rate)", "np.maximum(upper, before + dt * rate)", PERIODS,
+        "rate within one side only", "controllers/limits/torque_limited.py",
+        "np.minimum(upper, within + dt * self._rate)",
+        "np.maximum(upper, within + dt * self._rate)", PERIODS,
     ),
     (
         "torque before not within the efforts", "controllers/limits/torque_limited.py",
@@ -1539,8 +1540,8 @@ MUTANTS = [
     ),
     (
         "covariance of a turn of the wrong sign", "controllers/learning/positions.py",
-        "T[n:P, P:] = -R.dot((law",
-        "T[n:P, P:] = R.dot((law", GATE,
+        "T[n:P, P:] = -R.dot((rotation",
+        "T[n:P, P:] = R.dot((rotation", GATE,
     ),
     (
         "commands change as in a millisecond", "controllers/tracking.py",
@@ -1564,8 +1565,8 @@ MUTANTS = [
     ),
     (
         "stops beside continuous joints by q", "controllers/tracking.py",
-        "law.speed_bounds(positions_at(self._robot, q), self._joints)",
-        "law.speed_bounds(q[: len(v)], self._joints)", "tests/controllers/test_tracking.py",
+        "self._joints.speed_bounds(positions_at(self._robot, q))",
+        "self._joints.speed_bounds(q[: len(v)])", "tests/controllers/test_tracking.py",
     ),
     (
         "self-motion by the rate of an angle", "controllers/tracking.py",
@@ -1640,7 +1641,7 @@ MUTANTS = [
     ),
     (
         "joints' own torques are learnt as without rotors", "controllers/adaptive_dynamics.py",
-        "rotors = np.diag(self.rotor_inertia)\n", "rotors = 0.0 * np.diag(self.rotor_inertia)\n",
+        "np.linalg.inv(M_inv) + np.diag(self.rotor_inertia)", "np.linalg.inv(M_inv)",
         "tests/scenario/test_scenario.py",
     ),
     (
@@ -2404,9 +2405,9 @@ MUTANTS = [
         "tests/simulation/test_engines.py",
     ),
     (
-        "motion of continuous joints by the wrong arctangent", "codegen/arm/rigid_body.py",
-        "motion.append(products.angle(sine, cosine))",
-        "motion.append(products.angle(cosine, sine))", "tests/codegen/test_lanes.py",
+        "motion of continuous joints by the wrong arctangent", "robots/traced.py",
+        "motion.append(np.arctan2(sine, cosine))",
+        "motion.append(np.arctan2(cosine, sine))", "tests/codegen/test_lanes.py",
     ),
     (
         "exp of −800 in machine code", "codegen/trace/symbols.py",

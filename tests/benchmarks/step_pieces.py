@@ -36,7 +36,7 @@ def pieces(controller, bare, inputs):
     at_rest = np.zeros(robot.nv)
     q, _, x = inputs[0]
     J, s, alpha = task.jacobian(q), x.copy(), controller._alpha
-    x_d, scale = np.zeros(3), controller.pinv.singularity.scale
+    x_d, scale = np.zeros(3), controller.pinv.scale
     state = np.zeros(0) if learning is None else learning.theta0
     if learning is None:
         g = controller.gravity.torque(q).copy()

@@ -4,11 +4,12 @@ import numpy as np
 import pinocchio as pin
 
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, arm_numbers
-from approxjac.codegen.arm.rigid_body import Arm, moved
+from approxjac.codegen.arm.rigid_body import Arm
 from approxjac.codegen.backends.numpy_function import numpy_function
 from approxjac.codegen.trace.program import Program
 from approxjac.codegen.trace.symbols import inputs
 from approxjac.robots import Dynamics
+from approxjac.robots.traced import moved
 from approxjac.tasks.frame_tasks import FrameKinematics
 
 

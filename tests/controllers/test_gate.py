@@ -239,7 +239,7 @@ def test_where_x_was_seen_it_is_known_well_although_no_number_is(arm, panda, kin
         p = R @ aj.PositionTask(kinematics.robot(state), axes=axes).value(q)
         of_tool = KinematicRegressor(robot)
         tool = R @ of_tool.linear(q, of_tool.theta)[0][:, -3:][rows]
-        J = [tool, np.eye(d)] + ([(law.generators(d) @ p).T] if turns else [])
+        J = [tool, np.eye(d)] + ([(law.rotation.generators(d) @ p).T] if turns else [])
         J = np.concatenate(J, axis=1)
         assert J.shape[1] == len(report.covariance)
         return np.sqrt(np.diag(J @ report.covariance @ J.T))

@@ -78,18 +78,10 @@ def test_limits_of_other_joints_are_refused(panda, options):
         aj.TorqueLimited(controller, aj.Limits(**options))
 
 
-def test_rate_bounds_never_leave_the_effort_limits():
-    lower, upper = law.rate_bounds(
-        np.array([0.9, -1.0]), np.array([200.0, np.inf]), 1e-3, -np.ones(2), np.ones(2)
-    )
-    assert_allclose(lower, [0.7, -1.0])
-    assert_allclose(upper, [1.0, 1.0])
-
-
 def test_speed_bounds_let_a_joint_come_to_its_limit_exponentially():
     motion, joint = np.array([0.5]), law.JointRange.of([[-1.0], [1.0]], INF, 10.0, INF)
     for _ in range(1000):
-        motion = motion + 1e-3 * law.speed_bounds(motion, joint)[1]
+        motion = motion + 1e-3 * joint.speed_bounds(motion)[1]
     assert_allclose(1.0 - motion, 0.5 * (1.0 - 0.01) ** 1000)
 
 
@@ -98,7 +90,7 @@ def test_a_joint_that_comes_to_its_limit_brakes_with_no_more_than_its_decelerati
     joint, dt = law.JointRange.of([[-1.0], [1.0]], INF, 10.0, 3.0), 3e-4
     motion, before, hardest = np.array([-0.8 * side]), None, 0.0
     for _ in range(10_000):
-        speed = law.speed_bounds(motion, joint)[int(side > 0.0)]
+        speed = joint.speed_bounds(motion)[int(side > 0.0)]
         if before is not None:
             hardest = max(hardest, float(np.abs(speed - before)[0]) / dt)
         before, motion = speed, motion + dt * speed

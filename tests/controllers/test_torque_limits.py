@@ -478,7 +478,7 @@ def test_the_rows_bound_the_acceleration_that_the_believed_arm_predicts(panda, r
     joints = equations.JointRange.of(
         panda.position_limits, panda.velocity_limits, limited.approach, a
     )
-    speeds = equations.speed_bounds(q, joints)
+    speeds = joints.speed_bounds(q)
     assert (np.abs(speeds) <= panda.velocity_limits).all()
     wanted = equations.acceleration_bounds(v, speeds, limited.braking)
     low, high = problem.row_lower[:7] + without, problem.row_upper[:7] + without

@@ -836,7 +836,7 @@ def test_nothing_learns_faster_than_the_loop_stands(name):
     robot = aj.load_robot(name)
     dynamics = TrackingController(aj.PositionTask(robot)).dynamics
     assert dynamics.fastest == 120.0
-    rates = squared_rates(usual_motions(dynamics.regressor), dynamics.gamma)
+    rates = squared_rates(*usual_motions(dynamics.regressor), dynamics.gamma)
     assert np.sqrt(rates.max()) <= 120.0 * (1.0 + 1e-9)
     reduced = dynamics.gamma < 0.999 * dynamics.gain * dynamics.sd**2
     dry = np.array([each.endswith(".coulomb") for each in dynamics.parameters])
@@ -854,12 +854,12 @@ def test_what_an_arm_carries_is_learnt_at_one_rate_whatever_it_weighs(name):
     gamma = dynamics.gamma[links]
     rates = [
         np.trace(Y[:, links] * gamma @ Y[:, links].T) / np.trace(np.linalg.inv(M_inv))
-        for Y, M_inv in motions
+        for Y, M_inv in zip(*motions, strict=True)
     ]
     assert 10.0 < np.sqrt(np.median(rates)) < 16.1
     # nothing is made faster than κ by it
-    alone = np.sqrt(squared_rates(motions, dynamics.gamma)[links])
-    at_20 = np.sqrt(squared_rates(motions, 20.0 * dynamics.sd**2)[links])
+    alone = np.sqrt(squared_rates(*motions, dynamics.gamma)[links])
+    at_20 = np.sqrt(squared_rates(*motions, 20.0 * dynamics.sd**2)[links])
     assert (alone <= np.maximum(60.0, at_20) * (1.0 + 1e-9)).all()
 
 

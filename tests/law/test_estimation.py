@@ -81,48 +81,50 @@ def test_the_nearest_rotation_is_kabschs(d, rng):
 
 
 def test_no_rotation_is_far_from_all_of_those_everywhere(rng):
-    everywhere = law.rotations_everywhere(3)
+    everywhere = law.rotation.rotations_everywhere(3)
     assert everywhere.shape == (60, 3, 3)
     for _ in range(100):
         R = law.nearest_rotation(rng.standard_normal((3, 3)))
         nearest = max(np.trace(R.T @ other) for other in everywhere)
         assert np.degrees(np.arccos((nearest - 1.0) / 2.0)) < 45.0
-    assert law.rotations_everywhere(2).shape == (12, 2, 2)
+    assert law.rotation.rotations_everywhere(2).shape == (12, 2, 2)
 
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_best_rotation_is_a_maximum(d, rng):
-    G = law.generators(d)
+    G = law.rotation.generators(d)
     for k in range(40):
         root, h = rng.standard_normal((d * d, 1 + k % 5)), rng.standard_normal(d * d)
         M, A = root @ root.T, law.nearest_rotation(rng.standard_normal((d, d)))
-        curved = law.rotation_information(M, h, A)
+        curved = law.rotation.derivatives(M, h, A)[1]
         assert_allclose(curved, curved.T, atol=1e-12 * np.abs(curved).max())
         best = A
         for _ in range(10):
-            before, best = best, law.best_rotation(M, h, best)
-            least = law.explained(M, h, before)
-            assert law.explained(M, h, best) >= least - 1e-12 * abs(least)
-        value = law.explained(M, h, best)
-        slope = law.tangents(best).T @ (M @ best.ravel() + h)
+            before, best = best, law.rotation.best_rotation(M, h, best)
+            least = law.rotation.explained(M, h, before)
+            assert law.rotation.explained(M, h, best) >= least - 1e-12 * abs(least)
+        value = law.rotation.explained(M, h, best)
+        slope = law.rotation.tangents(best).T @ (M @ best.ravel() + h)
         assert_allclose(slope, 0.0, atol=1e-9 * (1.0 + np.abs(M).max()))
-        assert np.linalg.eigvalsh(law.rotation_information(M, h, best))[0] > -1e-9  # no saddle
+        assert np.linalg.eigvalsh(law.rotation.derivatives(M, h, best)[1])[0] > -1e-9  # no saddle
         turn, e = rng.standard_normal(len(G)), 1e-4
-        after, before = (law.explained(M, h, law.rotation_exp(s * turn) @ best) for s in (e, -e))
+        after, before = (
+            law.rotation.explained(M, h, law.rotation_exp(s * turn) @ best) for s in (e, -e)
+        )
         assert after - before == pytest.approx(0.0, abs=1e-7 * abs(value))
         curvature = (after - 2.0 * value + before) / e**2
         assert curvature == pytest.approx(
-            -turn @ law.rotation_information(M, h, best) @ turn, rel=1e-3
+            -turn @ law.rotation.derivatives(M, h, best)[1] @ turn, rel=1e-3
         )
         moved = (law.rotation_exp(e * turn) @ best - law.rotation_exp(-e * turn) @ best) / (2 * e)
-        assert_allclose(law.tangents(best) @ turn, moved.ravel(), atol=1e-6)
+        assert_allclose(law.rotation.tangents(best) @ turn, moved.ravel(), atol=1e-6)
 
 
 def test_the_cross_matrix_turns_as_its_generators_do(rng):
     phi, a = rng.normal(size=3), rng.normal(size=3)
     assert_allclose(law.cross_matrix(phi) @ a, np.cross(phi, a))
     for angles in (phi, phi[:1]):
-        expected = np.tensordot(angles, law.generators(2 if len(angles) == 1 else 3), 1)
+        expected = np.tensordot(angles, law.rotation.generators(2 if len(angles) == 1 else 3), 1)
         assert_allclose(law.cross_matrix(angles), expected)
 
 

@@ -41,13 +41,13 @@ class Moving:
         return M, dM, J, np.array(dJ), J_hat, dJ_hat, pinv, e
 
     def motion(self):
-        kp, kv, damping = self.law.diagonals
-        M, dM, J, _, J_hat, dJ_hat, pinv, e = self.at(self.q, 0.0)
-        s, slope = self.law.saturation.s(e), self.law.saturation.ds(e)
-        D_c = law.dissipation(J_hat, kv, damping)
-        dg = np.zeros_like(M)
+        *gains, damping = self.law.diagonals
+        *inertia, J, _, J_hat, dJ_hat, pinv, e = self.at(self.q, 0.0)
+        saturated = self.law.saturation.s(e), self.law.saturation.ds(e)
+        D_c, dg = law.dissipation(J_hat, gains[1], damping), np.zeros_like(inertia[0])
+        estimated, friction = (J_hat, dJ_hat), self.plant.friction
         return moves.motion(
-            M, dM, D_c, J, J_hat, dJ_hat, pinv, self.d, s, slope, dg, kp, kv, self.plant.friction
+            inertia, D_c, J, estimated, pinv, self.d, saturated, dg, gains, friction
         )
 
     def torque(self, q, v, t):

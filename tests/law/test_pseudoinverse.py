@@ -6,7 +6,6 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
 from approxjac import law
-from approxjac.controllers.pseudoinverse import Pseudoinverse
 from approxjac.law.pseudoinverse import SINGULAR_RATIO
 from approxjac.law.steps import within_null_space
 
@@ -36,7 +35,7 @@ def test_a_weight_is_that_of_joints_in_other_units(locked, rng):
     """With √R q̇ for q̇ all is as without; also of locked joints, as near singular as the whole."""
     J, weight, s = rng.normal(size=(3, 6)), np.geomspace(0.01, 100.0, 6), rng.normal(size=3)
     root, free = np.sqrt(weight), np.where(np.arange(6) < locked, 0.0, J)
-    weighted, plain = (Pseudoinverse(each, 0.0, 0.4) for each in (weight, None))
+    weighted, plain = law.Pseudoinverse(0.4, 0.0, 1.0 / root), law.Pseudoinverse(0.4)
     found = weighted.times(free, s, J)
     assert_allclose(found, plain.times(free / root, s, J / root) / root, rtol=1e-9)
     assert np.linalg.norm(free @ found - s) > 1e-3  # it is damped

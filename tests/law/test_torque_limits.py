@@ -205,7 +205,6 @@ def test_a_row_that_is_given_up_weighs_ten_times_what_braking_does(inertia, g, w
         return np.clip([free], low, high), 0 if low <= high else 1
 
     rows = Rows(np.array([-60.0, wanted]), np.array([60.0, np.inf]), np.array([[g]]))
-    bounds = law.limits.TorqueRows.of(rows, M_inv, np.zeros(1))
-    most = np.full(1, 500.0)
-    torque = law.braked(M_inv, bounds, -most, most, np.array([brake]), np.zeros(1), minimum)
+    most, rest = np.full(1, 500.0), np.zeros(1)
+    torque = law.limits.braked(M_inv, rows, rest, -most, most, np.array([brake]), rest, minimum)
     assert_allclose(torque / inertia, (brake + 10.0 * wanted / g) / 11.0, rtol=1e-12)

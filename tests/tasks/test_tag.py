@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import approxjac as aj
 from approxjac.cameras import tag_corners
 from approxjac.controllers import KnownKinematics
-from approxjac.controllers.pseudoinverse import singular_ratio
+from approxjac.controllers.gains.sample_configurations import singular_ratio
 from approxjac.errors import package_of
 from approxjac.robots import Dynamics
 from approxjac.tasks import CombinedTask

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from approxjac.codegen.arm.rigid_body import difference
 from approxjac.codegen.trace.program import RECORDED, Program
 from approxjac.codegen.trace.symbols import Symbols, select, symbols
 from approxjac.interface import Measurement, Target, TargetPath
+from approxjac.robots.traced import motion_between
 from approxjac.simulation import Plant, Sensing
 from approxjac.simulation.sensing import (
     SensorFrames,
@@ -71,7 +71,7 @@ class TracedSensing:
         q = encoded(sensor.robot, q, noise("q_noise", self._q_noise), self._q_quantum)
         if sensing.velocity_filter is not None:
             before, v = program.kept("q_before", len(q)), program.kept("v_filtered", len(v))
-            motion = difference(sensor.robot, before, q)
+            motion = motion_between(sensor.robot, before, q)
             slope = np.where(symbols(program.k > 0.0), motion, 0.0) / self._dt
             v = filtered(v, slope, sensing.velocity_filter, self._dt)
             kept |= {"q_before": q, "v_filtered": v}

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from approxjac.codegen.arm.traced_tasks import traced
-from approxjac.codegen.trace.symbols import Condition, Symbols, symbols
+from approxjac.codegen.trace.symbols import Condition, Symbols, graph_of, symbols
 from approxjac.controllers.arguments import HUGE
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.gains import Diagonals
@@ -45,8 +45,7 @@ def stepped(
     for name in ("status", "limit_status", "slack"):
         value = named[name][()]
         named[name] = float(value) if isinstance(value, int | float) else value
-    graph = next(each.graph for each in measurement.q.tolist() if hasattr(each, "graph"))
-    return after, Evaluation(**named), graph.left
+    return after, Evaluation(**named), graph_of(measurement.q).left
 
 
 def on_symbols(controller: Controller) -> Any:

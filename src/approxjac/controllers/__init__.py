@@ -25,11 +25,11 @@ from approxjac.controllers.learning.kinematic_report import KinematicReport as K
 from approxjac.controllers.learning.kinematic_report import LearntNumber as LearntNumber
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera as AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics as AdaptiveKinematics
-from approxjac.controllers.limits.limit import CartesianSpeed as CartesianSpeed
-from approxjac.controllers.limits.limit import Limit as Limit
-from approxjac.controllers.limits.limit import LimitTerms as LimitTerms
-from approxjac.controllers.limits.limit import Wall as Wall
+from approxjac.controllers.limits.limits import CartesianSpeed as CartesianSpeed
+from approxjac.controllers.limits.limits import Limit as Limit
 from approxjac.controllers.limits.limits import Limits as Limits
+from approxjac.controllers.limits.limits import LimitTerms as LimitTerms
+from approxjac.controllers.limits.limits import Wall as Wall
 from approxjac.controllers.limits.torque_limited import TorqueLimited as TorqueLimited
 from approxjac.controllers.posture import AwayFromStops as AwayFromStops
 from approxjac.controllers.posture import Posture as Posture

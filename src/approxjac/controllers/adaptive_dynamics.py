@@ -176,27 +176,25 @@ class AdaptiveDynamics(MotionDynamics):
         self.parameters = dict(zip(self.regressor.names, self.regressor.units, strict=True))
         self.sd = plausible_errors(self.regressor)
         self.fastest = as_number("fastest", fastest, unit="1/s", above=0.0)
-        motions, gamma = usual_motions(self.regressor), _GAIN * self.sd**2
+        (Y_d, M_inv), gamma = usual_motions(self.regressor), _GAIN * self.sd**2
         kappa, softness = 0.5 * self.fastest, np.zeros(robot.nv)
         if most_damping is not None:
             most = as_limits("most_damping", most_damping, robot.nv, unit="N m s/rad or N s/m")
             softness = kappa / most
         # K_σ of each joint where the others give way, and what γ = 1 alone makes of stiff ones
-        inertia = np.array([1.0 / np.diag(M_inv) for _, M_inv in motions]) + self.rotor_inertia
+        inertia = 1.0 / np.diagonal(M_inv, axis1=1, axis2=2) + self.rotor_inertia
         damping = kappa * np.median(1.0 / (1.0 / inertia + softness), axis=0)
-        rotors = np.diag(self.rotor_inertia)
-        heavier = np.linalg.inv(np.linalg.inv([M_inv for _, M_inv in motions]) + rotors)
-        behind = [(Y_d, np.asarray(each)) for (Y_d, _), each in zip(motions, heavier, strict=True)]
-        alone = squared_rates(behind, np.ones(self.n_state))
-        motions = [(Y_d, _softened(M_inv, softness)) for Y_d, M_inv in motions]
-        self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(motions, gamma)
+        heavier = np.linalg.inv(np.linalg.inv(M_inv) + np.diag(self.rotor_inertia))
+        alone = squared_rates(Y_d, heavier, np.ones(self.n_state))
+        if softness.any():  # κ²K⁻¹MK⁻¹ of K⁻¹ = (κM)⁻¹ + B⁻¹
+            root = M_inv + np.diag(softness)
+            M_inv = root @ np.linalg.solve(M_inv, root)
+        self.gain, rates = np.full(self.n_state, _GAIN), squared_rates(Y_d, M_inv, gamma)
         # tr(Y_d Γ Y_dᵀ)/tr M of links: the mean of joints by their inertia, so that wrists hardly
         # count
         k = slice(self.regressor.links)
-        swings = [
-            (Y_d[:, k] ** 2 * gamma[k]).sum() / np.trace(np.linalg.inv(M_inv))
-            for Y_d, M_inv in motions
-        ]
+        squares = (Y_d[:, :, k] ** 2 * gamma[k]).reshape(len(Y_d), -1)
+        swings = squares.sum(axis=1) / np.linalg.inv(M_inv).trace(axis1=1, axis2=2)
         wanted = _LINKS**2 / max(float(np.median(swings)), 1e-9)
         more = np.minimum(wanted, np.maximum(1.0, (0.5 * self.fastest) ** 2 / rates[k]))
         self.gain[k] *= more
@@ -253,14 +251,6 @@ class AdaptiveDynamics(MotionDynamics):
         return f"AdaptiveDynamics({self.robot.name!r}: {self.n_state} parameters)"
 
 
-def _softened(M_inv: Array, softness: Array) -> Array:
-    """Return κ²K⁻¹MK⁻¹ of K⁻¹ = (κM)⁻¹ + B⁻¹; `softness` is κ/B (n_v,), zero without a bound."""
-    if not softness.any():
-        return M_inv
-    root = M_inv + np.diag(softness)
-    return np.asarray(root @ np.linalg.solve(M_inv, root))
-
-
 def plausible_errors(regressor: DynamicsRegressor) -> Array:
     """Return plausible errors of the parameters of a robot, shape (p,)."""
     robot = regressor.robot
@@ -276,18 +266,19 @@ def plausible_errors(regressor: DynamicsRegressor) -> Array:
     return np.concatenate([links, rotor, torque, _DRY * torque, torque])
 
 
-def usual_motions(regressor: DynamicsRegressor) -> list[tuple[Array, Array]]:
-    """Return Y_d (n_v, p) and M⁻¹ (n_v, n_v) at usual configurations, speeds and accelerations."""
+def usual_motions(regressor: DynamicsRegressor) -> tuple[Array, Array]:
+    """Return Y_d (k, n_v, p) and M⁻¹ (k, n_v, n_v) of usual motions."""
     robot, rng = regressor.robot, np.random.default_rng(0)
-    dynamics, motions = Dynamics(robot), []
+    dynamics, Y_d, M_inv = Dynamics(robot), [], []
     for _ in range(_CONFIGURATIONS):
         q = robot.random_configuration(rng)
         v, a = (size * rng.choice((-1.0, 1.0), robot.nv) for size in (_SPEED, _ACCELERATION))
-        motions.append((regressor.Y_d(q, v, v, a), dynamics.M_inv(q)))
-    return motions
+        Y_d.append(regressor.Y_d(q, v, v, a))
+        M_inv.append(dynamics.M_inv(q))
+    return np.array(Y_d), np.array(M_inv)
 
 
-def squared_rates(motions: Sequence[tuple[Array, Array]], gamma: Array) -> Array:
+def squared_rates(Y_d: Array, M_inv: Array, gamma: Array) -> Array:
     """Return the largest γᵢ Y_dᵢᵀM⁻¹Y_dᵢ of motions, each parameter's ω² alone; (p,) [1/s²]."""
-    rates = [gamma * (Y_d * (M_inv @ Y_d)).sum(axis=0) for Y_d, M_inv in motions]
-    return np.asarray(np.maximum(np.max(rates, axis=0), 1e-9))
+    rates = gamma * (Y_d * (M_inv @ Y_d)).sum(axis=1)
+    return np.asarray(np.maximum(rates.max(axis=0), 1e-9))

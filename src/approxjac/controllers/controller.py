@@ -17,8 +17,7 @@ from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.guard import USUAL, Guard, SampleGuard
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.kinematic_report import KinematicReport
-from approxjac.controllers.limits.limit import Limit
-from approxjac.controllers.limits.limits import Limits
+from approxjac.controllers.limits.limits import Limit, Limits
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.formatting import spaced, wrapped
 from approxjac.interface import Evaluation, Measurement, Target

@@ -8,13 +8,7 @@ from typing import Self
 import numpy as np
 
 from approxjac import law
-from approxjac.controllers.arguments import (
-    HUGE,
-    overflow,
-    require_arrays,
-    require_finite,
-    with_rates,
-)
+from approxjac.controllers import arguments
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.wrapper import ControllerWrapper
@@ -101,7 +95,7 @@ class PredictedMeasurement(ControllerWrapper):
 
     def begin(self, measurement: Measurement) -> Array:
         if not hasattr(getattr(measurement, "q", None), "arm_of"):  # or it is of symbols
-            require_arrays(np.zeros(0), measurement, self.task.origin, self.task, 0)
+            arguments.require_arrays(np.zeros(0), measurement, self.task.origin, self.task, 0)
         return self._started(self.kinematics.initial_state(measurement), measurement)
 
     def resumed(self, state: Array, measurement: Measurement) -> Array:
@@ -128,10 +122,10 @@ class PredictedMeasurement(ControllerWrapper):
         (inner, known), task = self._split(state), self.task
         if not hasattr(state, "arm_of"):
             x_d = task.target(target.x)
-            q, v, _ = require_arrays(state, measurement, x_d, task, len(state))
-            if not math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist()) < HUGE:
-                require_finite(q, v, x_d, state, task)
-            target = with_rates(target._replace(x=x_d), task.measured.m)
+            q, v, _ = arguments.require_arrays(state, measurement, x_d, task, len(state))
+            if not math.hypot(*q.tolist(), *v.tolist(), *x_d.tolist()) < arguments.HUGE:
+                arguments.require_finite(q, v, x_d, state, task)
+            target = arguments.with_rates(target._replace(x=x_d), task.measured.m)
             self.kinematics.check(known, measurement, dt)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # an overflow is a named error
@@ -146,7 +140,7 @@ class PredictedMeasurement(ControllerWrapper):
                 known = known.copy()
                 self.kinematics.correct(known, measurement, dt)
         except (ArithmeticError, np.linalg.LinAlgError):
-            raise overflow(measurement) from None
+            raise arguments.overflow(measurement) from None
         is_predicted = (now == _PREDICTED) | law.complement(law.is_finite(e))
         usual = (answer.status == _OK) | (answer.status == Status.HOLDING)
         status = law.select(is_predicted & usual, _PREDICTED, answer.status)

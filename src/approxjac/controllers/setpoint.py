@@ -14,7 +14,7 @@ from approxjac.controllers.arguments import FLOAT64, HUGE, overflow, require_arr
 from approxjac.controllers.controller import Controller, Instant
 from approxjac.controllers.friction import FrictionCompensation
 from approxjac.controllers.gains.gains import Diagonals, Gains, Latency
-from approxjac.controllers.gains.sample_configurations import max_damping_rate
+from approxjac.controllers.gains.sample_configurations import max_damping_rate, singular_ratio
 from approxjac.controllers.gains.tuning import (
     UNKNOWN_TOOL,
     Tuning,
@@ -31,7 +31,6 @@ from approxjac.controllers.gravity import (
     require_gravity,
 )
 from approxjac.controllers.posture import AwayFromStops, Posture
-from approxjac.controllers.pseudoinverse import Pseudoinverse, singular_ratio
 from approxjac.controllers.saturation import describe_saturation, require_saturation
 from approxjac.errors import InvalidInputError, MeasurementError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
@@ -189,7 +188,9 @@ class SetpointController(Immutable, Controller):
         self.parameters = {**names, **friction.parameters(robot)} if friction else names
         self._equation = "(28)" if self.adaptation else "(6)" if velocity is None else "(5)"
         weight = None if self.adaptation is None else self.adaptation.pinv_weight
-        self.pinv = Pseudoinverse(weight, analysis.vanishing(task), singular_ratio(task))
+        root = None if weight is None else 1.0 / np.sqrt(weight)
+        ratio, scale = singular_ratio(task), analysis.vanishing(task)
+        self.pinv = law.Pseudoinverse(ratio, scale, root, weight)
         # as arrays, which NumPy takes in two thirds of the time of numbers
         self._alpha = np.array(0.0 if self.adaptation is None else self.adaptation.alpha)
         self._lag = np.array(1.0 if velocity is None else velocity.time_constant)
@@ -312,7 +313,7 @@ class SetpointController(Immutable, Controller):
         J_free, s = np.where(locked, 0.0, J_hat), self.saturation.s(answer.e)
         v = np.where(locked, 0.0, v)
         if answer.reference is not None:  # q̇ − (ĴP)⁺ẋ_d takes the place of q̇
-            v_d, ratio = J_hat.dot(answer.reference), self.pinv.singularity.ratio
+            v_d, ratio = J_hat.dot(answer.reference), self.pinv.ratio
             scale = float(np.linalg.norm(J_hat, 2))
             v = v - law.damped_gram_solve(J_free @ J_free.T, v_d, ratio, scale)[0] @ J_free
         y = law.passive_output(v, self.pinv.times(J_free, s, J_hat), learning.alpha)
@@ -451,13 +452,12 @@ class SetpointController(Immutable, Controller):
         pull = None if self._pull is None else self._pull(q)
         terms = law.SetpointTerms(J_hat, s, g, Y, pull, x_dot, v_d)
         kp, kv, damping = self.diagonals
-        torque, g, singular, relative, pinv_s, reference = law.setpoint_step(
-            kp, kv, damping, terms, v, theta_hat, self.pinv.singularity
-        )
+        answer = law.setpoint_step(kp, kv, damping, terms, v, theta_hat, self.pinv)
+        torque, g, singular, relative, pinv_s, reference = answer
         status, stuck, rubbing = law.select(singular, _SINGULAR, _OK), False, self._no_rate[:0]
         if self._rubs is not None:
             if pinv_s is None:
-                pinv_s = law.damped_pinv(J_hat, s, self.pinv.singularity)[0]
+                pinv_s = self.pinv.times(J_hat, s)
             more, rubbing, stuck = law.friction_step(
                 self._rubs, state[self._p : self.resting], relative, -self._alpha * pinv_s, e, lost
             )

@@ -25,13 +25,12 @@ from approxjac.controllers.gains.motors import (
     slow_feedback,
     strong_drives,
 )
-from approxjac.controllers.gains.sample_configurations import max_damping_rate
+from approxjac.controllers.gains.sample_configurations import max_damping_rate, singular_ratio
 from approxjac.controllers.learning.estimator import Kinematics
 from approxjac.controllers.learning.learnt_camera import AdaptiveCamera
 from approxjac.controllers.learning.positions import AdaptiveKinematics
 from approxjac.controllers.limits.limits import Limits, sure_deceleration
 from approxjac.controllers.posture import require_redundant
-from approxjac.controllers.pseudoinverse import singular_ratio
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import spaced
 from approxjac.interface import Evaluation, Measurement, Status, Target
@@ -69,7 +68,7 @@ _WHOLE = 0.999  # of a turn
 _ZONE, _WIDEST = 0.12, 0.6  # share of a joint's range in front of its ends, at most [rad or m]
 _SLOW = 0.1  # of the speed limit, towards an end; and at most [rad/s or m/s]
 _NO_END = 1e6  # of a range [rad or m]
-_APPROACH = 5.0  # κ of `law.speed_bounds` [1/s]
+_APPROACH = 5.0  # κ of `law.JointRange` [1/s]
 _LAG_GAIN = 1.0  # of what learns the lag
 _LONGEST_LAG = 0.1  # [s]
 _RIGID = 1e9  # damping that is no bound [N m s/rad]
@@ -647,7 +646,7 @@ class VelocityCommand:
         """Return the next L̂ [s], shape (1,), and memory; w is q̈_r at q̇ = q̇_r."""
         before, q_before, v_r_before = np.split(memory, (len(v_r), len(v_r) + len(q)))
         wanted = v_r + state[0] * w
-        low, high = law.speed_bounds(positions_at(self._robot, q), self._joints)
+        low, high = self._joints.speed_bounds(positions_at(self._robot, q))
         sent = np.minimum(np.maximum(wanted, low), high)
         sent = np.minimum(np.maximum(sent, before - self._change), before + self._change)
         went = motion_between(self._robot, q_before, q) / self._dt

@@ -2,28 +2,18 @@
 
 import math
 import operator
-from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Self
 
 import numpy as np
 
 from approxjac.controllers.arguments import FLOAT64, overflow
 from approxjac.controllers.controller import Controller, Instant
-from approxjac.controllers.gains.gains import Latency
-from approxjac.controllers.gains.tuning import Tuning
 from approxjac.controllers.learning.estimator import Kinematics
-from approxjac.controllers.limits.limit import Limit
-from approxjac.controllers.limits.limits import Limits
 from approxjac.errors import InvalidInputError
 from approxjac.formatting import shown
 from approxjac.interface import Measurement
 from approxjac.tasks import Task
 from approxjac.validation import Array, Immutable, require
-
-
-def _inner(name: str) -> Any:
-    whose = operator.attrgetter(f"controller.{name}")
-    return property(whose, doc=f"As `{name}` of the controller inside.")
 
 
 class ControllerWrapper(Immutable, Controller):
@@ -41,21 +31,6 @@ class ControllerWrapper(Immutable, Controller):
     controller: Controller
     _what: str = ""  # it does, in words
     _memory: int = 0  # length of what it keeps itself
-
-    # what is the controller's inside
-    command: Literal["torque", "velocity"] = _inner("command")
-    task: Task = _inner("task")
-    dt: float | None = _inner("dt")
-    latency: Latency | None = _inner("latency")
-    tuning: Tuning | None = _inner("tuning")
-    limits: Limits | None = _inner("limits")
-    motion_limits: tuple[Limit, ...] = _inner("motion_limits")
-    parameters: Mapping[str, str] = _inner("parameters")
-    kinematics: Kinematics | None = _inner("kinematics")
-    unseen: Array | None = _inner("unseen")
-    gain_values: Mapping[str, Any] = _inner("gain_values")
-    law: Controller = _inner("law")
-    needs_solver: bool = _inner("needs_solver")
 
     def describe(self) -> list[str]:
         return [*self.controller.describe(), self._what or f"within {type(self).__name__}"]
@@ -128,3 +103,15 @@ class ControllerWrapper(Immutable, Controller):
         if not math.isfinite(math.hypot(*memory.tolist())):
             raise InvalidInputError(f"state must be finite, got {state.tolist()}", given=state)
         return inner, memory
+
+
+_INSIDE = (  # what is the controller's inside
+    "command", "task", "dt", "latency", "tuning", "limits", "motion_limits", "parameters",
+    "kinematics", "unseen", "gain_values", "law", "needs_solver",
+)  # fmt: skip
+for _name in _INSIDE:
+    _its, _doc = (
+        operator.attrgetter(f"controller.{_name}"),
+        f"As `{_name}` of the controller inside.",
+    )
+    setattr(ControllerWrapper, _name, property(_its, doc=_doc))

@@ -112,7 +112,7 @@ def alter(condition: Any, values: Array, change: Callable[[Array], None]) -> Non
         return
     after = values.copy()
     change(after)
-    values[:] = condition.altered(after, values)
+    (values[:],) = condition.choose(lambda: (after,), lambda: (values,))
 
 
 def choose(condition: Any, then: Callable[[], Values], otherwise: Callable[[], Values]) -> Values:

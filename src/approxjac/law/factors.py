@@ -18,17 +18,14 @@ class Factors:
         self.pivots: list[Any] = []  # D
         scaled: list[list[Any]] = [[0.0] * n for _ in range(n)]  # LD
         for i in range(n):
-            for j in range(i):
+            for j in range(i + 1):
                 total: Any = A[i, j]
                 for k in range(j):
                     total = total - scaled[i][k] * self._L[j][k]
-                scaled[i][j] = total
-                self._L[i][j] = total * self._inverse[j]
-            pivot: Any = A[i, i]
-            for k in range(i):
-                pivot = pivot - scaled[i][k] * self._L[i][k]
-            self.pivots.append(pivot)
-            self._inverse.append(1.0 / pivot)
+                if j < i:
+                    scaled[i][j], self._L[i][j] = total, total * self._inverse[j]
+            self.pivots.append(total)
+            self._inverse.append(1.0 / total)
 
     def solve(self, b: Array) -> Array:
         """Return A⁻¹b, b of shape (n,) or (n, k)."""

@@ -88,16 +88,6 @@ def power_zero(
     return here + share * (there - here)
 
 
-def rate_bounds(
-    before: Array, rate: Array, dt: float, lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """Return bounds (n_v,) that the last torque can also reach in one step of dt [s].
-
-    The last torque lies within the bounds and changes by `rate` (n_v,) [N m/s or N/s] at most.
-    """
-    return np.maximum(lower, before - dt * rate), np.minimum(upper, before + dt * rate)
-
-
 def approach_speed(left: Array, fastest: Array, approach: float | Array, knee: Array) -> Array:
     """Return the largest signed speed towards a limit at the distance `left`; negative beyond it.
 
@@ -135,15 +125,13 @@ class JointRange(NamedTuple):
         knee = both + np.minimum(deceleration, _FAR) / approach
         return cls(np.asarray(ends), both + fastest, np.array(approach), knee)
 
+    def speed_bounds(self, motion: Array) -> Array:
+        """Return the smallest and largest speeds, (2, n_v), by `approach_speed`.
 
-def speed_bounds(motion: Array, joints: JointRange) -> Array:
-    """Return the smallest and the largest speed of each joint, shape (2, n_v); `approach_speed`.
-
-    A joint beyond its range has to return, within its speed limit. `motion` are joint positions,
-    shape (n_v,) [rad or m].
-    """
-    ends, fastest, approach, knee = joints
-    return approach_speed(ends - motion, fastest, approach, knee)
+        A joint beyond its range has to return, within its speed limit. `motion` are joint
+        positions, shape (n_v,) [rad or m].
+        """
+        return approach_speed(self.ends - motion, *self[1:])
 
 
 def acceleration_bounds(
@@ -180,6 +168,11 @@ class Rows(NamedTuple):
         """Return the bounded numbers of q̈ (n_v,) or of matrices (n_v, n_v)."""
         return q_dd if self.E is None else np.concatenate([q_dd, self.E.dot(q_dd)])
 
+    def of_torque(self, M_inv: Array, at_rest: Array) -> tuple[Array, Array, Array]:
+        """Return A and bounds of A τ where q̈ = M̂⁻¹τ + q̈₀, q̈₀ the acceleration `at_rest`."""
+        offset = self.of(at_rest)
+        return self.of(M_inv), self.low - offset, self.high - offset
+
     def per(self, rho: Array) -> Rows:
         """Return the rows of a where q̈ = ρa, ρ > 0 of shape (n_v,)."""
         if self.E is None:
@@ -187,22 +180,6 @@ class Rows(NamedTuple):
         n = len(rho)
         low, high = (np.concatenate([s[:n] / rho, s[n:]]) for s in (self.low, self.high))
         return Rows(low, high, self.E * rho)
-
-
-class TorqueRows(NamedTuple):
-    """Rows as bounds of A τ."""
-
-    A: Array  # shape (n_v + k, n_v)
-    low: Array  # shape (n_v + k,)
-    high: Array
-    rows: Rows  # the bounds of q̈ that they are made of
-    at_rest: Array  # q̈₀, the acceleration without torque, shape (n_v,)
-
-    @classmethod
-    def of(cls, rows: Rows, M_inv: Array, at_rest: Array) -> TorqueRows:
-        """Return bounds of q̈ = M̂⁻¹τ + q̈₀ as those of τ."""
-        offset = rows.of(at_rest)
-        return cls(rows.of(M_inv), rows.low - offset, rows.high - offset, rows, at_rest)
 
 
 class AskedTorque(NamedTuple):
@@ -223,7 +200,7 @@ def limit_step(
     M_inverse: Callable[[], Array],
     rows: Rows | None,
     residual: Array | None,
-    brakes: Callable[[Array, TorqueRows], Array],
+    brakes: Callable[[Array, Rows, Array], Array],
     minimum: Minimum,
 ) -> tuple[Array, Array, Any, Any, Any]:
     """Bring τ* within bounds of torque and motion, and keep V̇ ≤ −W where they leave room for it.
@@ -240,7 +217,7 @@ def limit_step(
         M_inverse: Function that returns M̂⁻¹, shape (n_v, n_v).
         rows: Bounds of motion, if any.
         residual: Correction of the believed q̈, shape (n_v,), if there are rows.
-        brakes: Function of M̂⁻¹ and the rows for the torque without a minimum, such as `braked`.
+        brakes: Function of M̂⁻¹, rows and q̈₀ for the torque without a minimum, such as `braked`.
         minimum: Solver.
 
     Returns:
@@ -267,8 +244,8 @@ def limit_step(
     def searched() -> tuple[Array, Array, Any, Any, Any]:
         M_inv = M_inverse()
         assert rows is not None
-        bounds = TorqueRows.of(rows, M_inv, q_dd - M_inv.dot(near))
-        (A, low, high), y, price = bounds[:3], None, None
+        at_rest = q_dd - M_inv.dot(near)
+        (A, low, high), y, price = rows.of_torque(M_inv, at_rest), None, None
         if output is not None:  # yᵀ(τ − τ*) ≤ 0; of length one, solvers do better
             y, rho = output()
             size = np.maximum(root(y.dot(y)), _LEAST)
@@ -278,7 +255,7 @@ def limit_step(
         R = np.diag(weight)
         problem = QuadraticProgram(R, -R.dot(wanted), lower, upper, A, low, high)
         best, verdict = minimum(problem, price, slack > 0.0)
-        (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, bounds),), lambda: (best,))
+        (torque,) = choose(verdict > 0, lambda: (brakes(M_inv, rows, at_rest),), lambda: (best,))
         left = 0.0
         if y is not None:  # yᵀ(τ − τ*) where positive by more than round-off [W]
             power = y.dot(torque - wanted)
@@ -291,7 +268,8 @@ def limit_step(
 
 def braked(
     M_inv: Array,
-    bounds: TorqueRows,
+    rows: Rows,
+    at_rest: Array,
     lower: Array,
     upper: Array,
     brake: Array,
@@ -306,7 +284,7 @@ def braked(
     `brake` is the q̈ that brings joints to rest, which is wanted beside further rows E; `hold` is
     the torque to send if everything fails.
     """
-    A, low, high, rows, at_rest = bounds
+    A, low, high = rows.of_torque(M_inv, at_rest)
     n, start = len(lower), brake
     if rows.E is None:
         start = np.zeros(n)

@@ -42,22 +42,19 @@ class MovingTarget(NamedTuple):
 
 
 def motion(
-    M: Array,
-    dM: Array,
+    inertia: tuple[Array, Array],  # M and ∂M
     D_c: Array,
     J: Array,
-    J_hat: Array,
-    dJ_hat: Array,
+    estimated: tuple[Array, Array],  # Ĵ and ∂Ĵ
     pinv: tuple[Array, Array],  # Ĵ⁺ and ∂Ĵ⁺
     d: Array,  # direction, shape (m,)
-    s: Array,
-    slope: Array,
+    saturated: tuple[Array, Array],  # s(e) and s'(e)
     dg: Array,
-    kp: Array,
-    kv: Array,
+    gains: tuple[Array, Array],  # diagonals of K_p and K_v
     friction: Array,  # diagonal of B_n, shape (n_v,)
 ) -> MovingTarget:
     """Return the terms of a target that moves along d."""
+    (M, dM), (J_hat, dJ_hat), (s, slope), (kp, kv) = inertia, estimated, saturated, gains
     r, turned = pinv[0] @ d, (pinv[1] @ d).mT  # (∂Ĵ⁺/∂q_k)d are the columns
     C = np.einsum("...aij,...i->...aj", christoffel(dM), r)
     A = M @ turned + C

@@ -1,4 +1,4 @@
-"""Rotations in space, in the plane and of images: the rotation that explains data; and rays."""
+"""Rotations in space and in the plane, and the rotation that explains data."""
 
 import math
 from typing import Any
@@ -309,7 +309,7 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
         A, value, is_done = values
         if surely(is_done):
             return values
-        slope, curvature = _derivatives(M, h, A)
+        slope, curvature = derivatives(M, h, A)
         turn, is_concave = _newton_step(slope, curvature)
         new = rotation_exp(turn).dot(A)
         is_small = is_concave & (length(turn) < _CONVERGED)
@@ -328,18 +328,13 @@ def best_rotation(M: Array, h: Array, A: Array) -> Array:
     return nearest_rotation(repeat(_NEWTON_STEPS, step, start)[0])
 
 
-def rotation_information(M: Array, h: Array, A: Array) -> Array:
-    """Return the negative second derivative of `explained` along δ of A ← exp([δ]ₓ)A."""
-    return _derivatives(M, h, A)[1]
-
-
 def tangents(A: Array) -> Array:
     """Return ∂vec(exp([δ]ₓ)A)/∂δ at δ = 0, shape (d², 1 or 3)."""
     return np.asanyarray((generators(len(A)) @ A).reshape(-1, A.size).T)
 
 
-def _derivatives(M: Array, h: Array, A: Array) -> tuple[Array, Array]:
-    """Return the gradient and the negative Hessian of `explained` along δ."""
+def derivatives(M: Array, h: Array, A: Array) -> tuple[Array, Array]:
+    """Return the gradient and the negative Hessian of `explained` along δ of A ← exp([δ]ₓ)A."""
     moved, rise = tangents(A).T, M.dot(A.ravel()) + h
     bent = _PRODUCTS[len(A)].dot(rise.reshape(A.shape).dot(A.T).ravel())
     bent = bent.reshape(len(moved), -1)
@@ -361,44 +356,3 @@ def _newton_step(slope: Array, curvature: Array) -> tuple[Array, Any]:
     size = length(step)
     factor = _share(_LARGEST_STEP, size, size > _LARGEST_STEP, 1.0)
     return np.asanyarray(select(is_concave, step * factor, 0.0 * slope)), is_concave
-
-
-# -- rays of points in a camera --------------------------------------------------------------------
-# Not in the paper. y = e^λ (X/Z, Y/Z) is the ray of a point c = (X, Y, Z) in the camera's axes, for
-# a focal length with the error factor e^λ. Shapes: c is (k, 3), y and ρ are (k, 2).
-
-
-def ray_basis(rho: Array) -> Array:
-    """Return N(ρ) = [I, −ρ], shape (k, 2, 3): N(ρ)c is the offset of c from the ray ρ."""
-    N = np.zeros((len(rho), 2, 3))
-    N[:, 0, 0] = N[:, 1, 1] = 1.0
-    N[:, :, 2] = -rho
-    return N
-
-
-def rays(c: Array, stretch: float) -> Array:
-    """Return y = e^λ (X/Z, Y/Z) with e^λ = stretch, shape (k, 2)."""
-    return np.asarray(stretch * c[:, :2] / c[:, 2:])
-
-
-def ray_jacobian(c: Array, stretch: float) -> Array:
-    """Return ∂y/∂c = e^λ/Z N(X/Z, Y/Z), shape (k, 2, 3)."""
-    Z = c[:, 2:]
-    return np.asarray(ray_basis(c[:, :2] / Z) * (stretch / Z)[:, :, np.newaxis])
-
-
-def image_turn(shown: Array, seen: Array, weights: Array) -> tuple[Array, Array]:
-    """Return the rotation of the image that best fits `shown` to `seen`, and the residual.
-
-    The planar Kabsch problem, in closed form: of rays about their means, with any size.
-
-    Predicted rays `shown` are (…, k, 2), measured rays `seen` (k, 2), weights of the points (k,).
-    Returned are the angle [rad], and the mean square residual with the best scale, shape (…).
-    """
-    w = weights / weights.sum()
-    a, b = shown - (w @ shown)[..., np.newaxis, :], seen - w.dot(seen)
-    along = (a * b).sum(axis=-1) @ w
-    across = (a[..., 0] * b[:, 1] - a[..., 1] * b[:, 0]) @ w
-    spread = np.maximum((a * a).sum(axis=-1) @ w, np.finfo(float).tiny)
-    left = (b * b).sum(axis=-1) @ w - (along**2 + across**2) / spread
-    return np.arctan2(across, along), np.asarray(left)

@@ -1,7 +1,10 @@
-"""Steps of the set-point laws and of a held measurement, on numbers or on symbols.
+"""The set-point laws, eqs. (5), (6) and (28), their step, and that of a held measurement.
 
 A controller checks its arguments, collects the terms of the believed robot and calls these.
 `codegen` traces them by calling the controller with symbols.
+
+Shapes: Ĵ is (m, n_v), K_p, K_v, s and Ẋ are (m,) with the gains' diagonals, q̇, g, τ and the
+diagonal of the added damping B_c are (n_v,).
 """
 
 import math
@@ -13,19 +16,101 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from approxjac.law.branches import all_finite, array, choose, complement, select, selected
-from approxjac.law.pseudoinverse import SINGULAR_RATIO, damped_gram_solve, is_near_singular
-from approxjac.law.torque import estimated_velocity_torque, gravity, measured_velocity_torque
+from approxjac.law.pseudoinverse import (
+    SINGULAR_RATIO,
+    damped_gram_solve,
+    gram_damping,
+    is_near_singular,
+)
 from approxjac.validation import Array
 
 _LEAST = 1e-300
 
 
-class Singularity(NamedTuple):
-    """Bounds below which Ĵ is near singular."""
+def measured_velocity_torque(
+    J_hat: Array, kp: Array, kv: Array, s: Array, x_dot: Array, v: Array, damping: Array, g: Array
+) -> Array:
+    """Return τ = −Ĵᵀ(K_p s(e) + K_v Ẋ) − B_c q̇ + g(q), with Ẋ measured.
 
-    ratio: float = SINGULAR_RATIO  # of σ_min/σ_max
+    Implements Eq. (5), the earlier law, kept as a baseline. Departure: the added joint damping
+    −B_c q̇ is written out (the paper leaves it to "friction added intentionally").
+
+    The arguments are those of `estimated_velocity_torque`, and Ẋ (m,).
+    """
+    return g - damping * v - (kp * s + kv * x_dot).dot(J_hat)
+
+
+def estimated_velocity_torque(
+    J_hat: Array, kp: Array, kv: Array, s: Array, v: Array, damping: Array, g: Array
+) -> Array:
+    """Return τ = −Ĵᵀ(K_p s(e) + K_v Ĵ q̇) − B_c q̇ + g(q).
+
+    Implements Eq. (6), the paper's law: Ĵ q̇ takes the place of the measured task velocity.
+    Implements Eq. (28), too, with the g that has been learnt so far, `gravity`. Departure: the
+    added joint damping −B_c q̇ is written out; where n_v > m it is required.
+
+    Args:
+        J_hat: Estimated task Jacobian Ĵ, shape (m, n_v).
+        kp: Diagonal of K_p, shape (m,).
+        kv: Diagonal of K_v, shape (m,).
+        s: Saturated error s(e), shape (m,).
+        v: Joint velocity q̇, shape (n_v,).
+        damping: Diagonal of B_c, shape (n_v,).
+        g: Gravity torque, shape (n_v,).
+
+    Returns:
+        Joint torque τ, shape (n_v,).
+    """
+    return g - damping * v - (kp * s + kv * J_hat.dot(v)).dot(J_hat)
+
+
+def gravity(Z: Array, theta: Array) -> Array:
+    """Return g = Z(q) θ of a regressor (n_v, p) and parameters (p,). Implements Eq. (27)."""
+    return Z.dot(theta)
+
+
+class Pseudoinverse(NamedTuple):
+    """Ĵ⁺, damped near singular configurations by `damped_gram_solve`.
+
+    With a weight (from `tuned`), Ĵ⁺s minimizes q̇ᵀB_cq̇ over all q̇ with Ĵq̇ = s, as the arm's own
+    motion towards its target does. So y of (10) is small along that motion, which disturbs learning
+    less. Without one it is the Moore–Penrose inverse, as in the paper.
+    """
+
+    ratio: float = SINGULAR_RATIO  # of σ_min/σ_max, below which Ĵ is near singular
     scale: float = 0.0  # a σ_max below which it counts as this large [unit of the task/rad]
-    inverse_root: Array | None = None  # 1/√R of the Ĵ⁺ of least q̇ᵀRq̇, (n_v,); None is R = I
+    inverse_root: Array | None = None  # 1/√weight, (n_v,)
+    weight: Array | None = None  # as for `cross_weight_pinv`, shape (n_v,); None is I
+
+    @property
+    def singularity(self) -> tuple[float, float, Array | None]:
+        """The numbers that it is made of but for the weight."""
+        return self[:3]
+
+    def solved(self, J_hat: Array, s: Array) -> tuple[Array, Any]:
+        """Return Ĵ⁺s (n_v,), and its damping λ: 0 away from singular poses."""
+        J_hat = self._weighted(J_hat)
+        w, damped = damped_gram_solve(J_hat.dot(J_hat.T), s, self.ratio, self.scale)
+        return self._weighted(w.dot(J_hat)), damped
+
+    def times(self, J_hat: Array, s: Array, whole: Array | None = None) -> Array:
+        """Return Ĵ⁺s (n_v,); if Ĵ lacks columns, damping is judged by the `whole` Ĵ's size."""
+        if whole is None:
+            return self.solved(J_hat, s)[0]
+        scale = float(np.linalg.norm(self._weighted(whole), 2))
+        return self._replace(scale=scale).solved(J_hat, s)[0]
+
+    def is_damped(self, J_hat: Array) -> Any:
+        """Return True where Ĵ⁺ is damped, for Ĵ (…, m, n_v); shape (…)."""
+        squares: Any = np.linalg.svd(self._weighted(J_hat), compute_uv=False) ** 2
+        return gram_damping(squares[..., -1], squares[..., 0], self.ratio, self.scale) > 0.0
+
+    def matrix(self, J_hat: Array) -> Array:
+        """Return Ĵ⁺ (n_v, m) for a Ĵ (m, n_v)."""
+        return np.array([self.times(J_hat, unit) for unit in np.eye(len(J_hat))]).T
+
+    def _weighted(self, rows: Array) -> Array:
+        return rows if self.inverse_root is None else rows * self.inverse_root
 
 
 class SetpointTerms(NamedTuple):
@@ -47,7 +132,7 @@ def setpoint_step(
     terms: SetpointTerms,
     v: Array,
     theta_hat: Array,
-    singularity: Singularity,
+    pinv: Pseudoinverse,
 ) -> tuple[Array, Array, Any, Array, Array | None, Array | None]:
     """Evaluate the laws (5), (6) and (28), with a posture and on a path.
 
@@ -58,13 +143,13 @@ def setpoint_step(
         rest; Ĵ⁺s(e) if something is learnt; Ĵ⁺ẋ_d. All but the third of shape (n_v,).
     """
     J_hat, s, g, Y, pull, x_dot, v_d = terms
-    ratio, scale, _ = singularity
+    ratio, scale = pinv[:2]
     G, pinv_s, reference = J_hat.dot(J_hat.T), None, None
     if Y is None:
         assert g is not None
         is_singular = is_near_singular(G, ratio, scale)
     else:
-        pinv_s, damped = damped_pinv(J_hat, s, singularity)
+        pinv_s, damped = pinv.solved(J_hat, s)
         is_singular = damped > 0.0
         g = gravity(Y, theta_hat)  # with it, (6) is (28)
     bias = g if pull is None else g + within_null_space(pull, J_hat, G, ratio, scale)
@@ -78,16 +163,6 @@ def setpoint_step(
     else:
         torque = measured_velocity_torque(J_hat, kp, kv, s, relative, v, damping, bias)
     return torque, g, is_singular, v, pinv_s, reference
-
-
-def damped_pinv(J_hat: Array, s: Array, singularity: Singularity) -> tuple[Array, Any]:
-    """Return Ĵ⁺s (n_v,), which minimizes q̇ᵀRq̇, and its damping λ: 0 away from singular poses."""
-    ratio, scale, inverse_root = singularity
-    if inverse_root is not None:
-        J_hat = J_hat * inverse_root
-    w, damped = damped_gram_solve(J_hat.dot(J_hat.T), s, ratio, scale)
-    pinv_s = w.dot(J_hat)
-    return (pinv_s if inverse_root is None else pinv_s * inverse_root), damped
 
 
 def within_null_space(torque: Array, J_hat: Array, G: Array, ratio: float, scale: float) -> Array:

@@ -88,8 +88,11 @@ class Dynamics(Immutable):
         q, v, a = self._q(q), self._v(v), self._v(a, "a")
         return np.array(pin.rnea(self._model, self._data, q, v, a))
 
-    def forward(self, q: Array, v: Array, tau: Array) -> Array:
-        """Return q̈ under the torque τ, shape (n_v,) [rad/s² or m/s²]."""
+    def forward(self, q: Array, v: Array, tau: Array, rotors: Array | None = None) -> Array:
+        """Return q̈ under the torque τ, (n_v,) [rad/s² or m/s²]; rotors are those of `M_inv`."""
+        if rotors is not None:
+            bias = self.inverse(q, v, 0.0 * v)
+            return np.asanyarray(np.linalg.solve(self.M(q) + rotors, tau - bias))
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.forward(v, tau))
         if (  # the quick way
@@ -107,8 +110,10 @@ class Dynamics(Immutable):
             return np.asarray(np.linalg.solve(self.M(q), tau - bias))
         return np.array(pin.aba(self._model, self._data, q, v, tau, WORLD))
 
-    def M_inv(self, q: Array) -> Array:
-        """Return M(q)⁻¹, shape (n_v, n_v)."""
+    def M_inv(self, q: Array, rotors: Array | None = None) -> Array:
+        """Return M(q)⁻¹, shape (n_v, n_v), with rotor inertias (n_v, n_v) in M if given."""
+        if rotors is not None:
+            return np.asanyarray(np.linalg.solve(self.M(q) + rotors, np.eye(self.robot.nv)))
         if type(q) is not np.ndarray and (arm := arm_of(self.robot, q)) is not None:
             return np.asanyarray(arm.factors.solve(np.eye(self.robot.nv)))
         return np.asarray(np.linalg.inv(self.M(q)))

@@ -14,17 +14,8 @@ from lxml import etree
 from approxjac.errors import InvalidInputError, UnknownNameError, UrdfError, require_known
 from approxjac.files import refusing, write_text
 from approxjac.robots import meshes
-from approxjac.robots.urdf import (
-    OBJECT_RADIUS,
-    Urdf,
-    as_size,
-    direction,
-    leader_of,
-    likely_tips,
-    with_locked_joints,
-    with_moved_origins,
-    with_object,
-)
+from approxjac.robots import urdf as edits
+from approxjac.robots.urdf import OBJECT_RADIUS, Urdf, as_size, direction, leader_of, likely_tips
 from approxjac.validation import (
     Array,
     Immutable,
@@ -356,7 +347,7 @@ class Robot(Immutable):
                     given=name,
                 )
         size = {"length": length, "mass": mass, "radius": radius}
-        urdf = with_object(self.tree, name=name, parent=parent, axis=along, **size)
+        urdf = edits.with_object(self.tree, name=name, parent=parent, axis=along, **size)
         outward = self.outward_axis(parent)  # the tip is turned as its parent is
         return self._changed(urdf, tip=f"{name}_tip", outward=outward)
 
@@ -398,7 +389,7 @@ class Robot(Immutable):
             shift = as_array(f"shift of {joint}", shifts.get(joint, none), (3,), "m")
             turn = as_array(f"rotation of {joint}", rotations.get(joint, none), (3,), "rad")
             errors[joint] = shift, turn
-        return self._changed(with_moved_origins(self.tree, errors))
+        return self._changed(edits.with_moved_origins(self.tree, errors))
 
     def with_locked_joints(self, positions: Mapping[str, float]) -> Robot:
         """Return this robot with some joints fixed, such as those of fingers.
@@ -419,7 +410,7 @@ class Robot(Immutable):
             locked[joint] = as_number(
                 f"position of {joint}", position, unit="rad or m", minimum=-_FAR, most=_FAR
             )
-        return self._changed(with_locked_joints(self.tree, locked))
+        return self._changed(edits.with_locked_joints(self.tree, locked))
 
     def with_gravity(self, gravity: Sequence[float] | Array) -> Robot:
         """Return this robot under another gravity in the world frame, shape (3,) [m/s²]."""

@@ -10,16 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from approxjac.codegen.arm.arm_numbers import ArmNumbers, Reduced, Structure, arm_numbers, reduced
 from approxjac.codegen.trace.symbols import Graph, Number, Scalar, Symbols, symbols
-from approxjac.law import products
 from approxjac.law.factors import Factors
 from approxjac.robots import GravityRegressor, Robot
-from approxjac.robots.robot import own_joints
 from approxjac.validation import Array
 
 Given = Callable[[str, Array], Symbols]
@@ -469,36 +467,6 @@ def arm_at(q: Symbols, robot: Robot) -> Configured:
 
 def _known(name: str, values: Array) -> Symbols:
     return symbols(values[0].astype(object))
-
-
-def moved(robot: Robot, q: Symbols, motion: Symbols) -> Symbols:
-    """Return the configuration (nq,) that a motion (n_v,) leads to, as `pin.integrate` does."""
-    q_after: list[Any] = []
-    for joint, step in zip(own_joints(robot.model).values(), motion, strict=True):
-        at = joint.idx_q
-        if joint.nq == 1:
-            q_after.append(q[at] + step)
-            continue
-        (c,), (s,) = np.cos(symbols([step])), np.sin(symbols([step]))
-        x, y = c * q[at] - s * q[at + 1], s * q[at] + c * q[at + 1]
-        # the first step of Newton's method to the unit circle
-        scale = 0.5 * (3.0 - (x * x + y * y))
-        q_after += [x * scale, y * scale]
-    return symbols(q_after)
-
-
-def difference(robot: Robot, a: Symbols, b: Symbols) -> Symbols:
-    """Return the motion (n_v,) from a to b, both (nq,), as `pin.difference` does."""
-    motion: list[Any] = []
-    for joint in own_joints(robot.model).values():
-        at = joint.idx_q
-        if joint.nq == 1:
-            motion.append(b[at] - a[at])
-            continue
-        cosine: Any = a[at] * b[at] + a[at + 1] * b[at + 1]
-        sine: Any = a[at] * b[at + 1] - a[at + 1] * b[at]
-        motion.append(products.angle(sine, cosine))
-    return symbols(motion)
 
 
 def _zeros(*shape: int) -> Symbols:

@@ -9,12 +9,10 @@ import numpy as np
 
 from approxjac.cameras import Camera
 from approxjac.codegen.arm.rigid_body import Arm, Configured
-from approxjac.codegen.trace.symbols import Graph, Symbols, inputs, symbols
+from approxjac.codegen.trace.symbols import Graph, Symbols, graph_of, inputs, symbols
 from approxjac.errors import InvalidInputError
 from approxjac.tasks import Task
 from approxjac.validation import Array, changed_copy
-
-_HOLDERS = (Camera, Task, tuple, list)  # of what may be a camera
 
 
 def frames(task: Task) -> tuple[str, ...]:
@@ -68,20 +66,9 @@ def may_lose(task: Task) -> bool:
 
 
 def _cameras(of: Task) -> list[Camera]:
-    cameras: list[Camera] = []
-    seen: set[int] = set()
-    waiting: list[Any] = [of]
-    while waiting:
-        part = waiting.pop()
-        if id(part) in seen:
-            continue
-        seen.add(id(part))
-        if isinstance(part, Camera):
-            cameras.append(part)
-            continue
-        parts = [*vars(part).values()] if isinstance(part, Task) else part
-        waiting += [each for each in reversed(parts) if isinstance(each, _HOLDERS)]
-    return cameras
+    cameras: dict[int, Camera] = {}
+    _replaced(of, lambda camera: cameras.setdefault(id(camera), camera))
+    return [*cameras.values()]
 
 
 def numbers(sensors: Sequence[Task]) -> dict[str, Array]:
@@ -100,12 +87,12 @@ def with_numbers(sensor: Task, given: Mapping[str, Symbols]) -> Task:
     for i, camera in enumerate(_cameras(sensor)):
         named = {name: given[f"sensor.{i}{name}"] for name in camera.numbers}
         changed[id(camera)] = camera.with_numbers(named)
-    return _replaced(sensor, changed)
+    return _replaced(sensor, lambda camera: changed[id(camera)])
 
 
-def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
+def _replaced(of: Any, changed: Callable[[Camera], Camera]) -> Any:
     if isinstance(of, Camera):
-        return changed[id(of)]
+        return changed(of)
     if isinstance(of, tuple | list):
         parts = [_replaced(part, changed) for part in of]
         if all(a is b for a, b in zip(parts, of, strict=True)):
@@ -121,13 +108,13 @@ def _replaced(of: Any, changed: Mapping[int, Camera]) -> Any:
 def value(task: Task, here: Configured, given: Mapping[str, Symbols] | None = None) -> Symbols:
     """Return x at a configuration, of a task with its numbers or given ones, shape (n_x,)."""
     own = with_numbers(task, given) if given else task
-    with here.arm.standing_in(_graph(here.q)):
+    with here.arm.standing_in(graph_of(here.q)):
         return symbols(traced("task", task, lambda: own.value(here.q)))
 
 
 def jacobian(task: Task, here: Configured, x: Symbols | None = None) -> Symbols:
     """Return Ĵ at a configuration where x (n_x,) is measured, shape (m, n_v)."""
-    with here.arm.standing_in(_graph(here.q)):
+    with here.arm.standing_in(graph_of(here.q)):
         return symbols(traced("task", task, lambda: task.jacobian(here.q, x)))
 
 
@@ -139,7 +126,3 @@ def seen(sensor: Task, x: Symbols) -> Symbols:
 def error(task: Task, x: Symbols, x_d: Symbols) -> Symbols:
     """Return e of x to a target, both (n_x,); shape (m,)."""
     return symbols(traced("task", task, lambda: task.error(x, x_d)))
-
-
-def _graph(q: Symbols) -> Graph:
-    return next(each.graph for each in q.tolist() if hasattr(each, "graph"))

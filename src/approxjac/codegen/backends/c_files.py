@@ -132,17 +132,10 @@ def _guarded(step: SampledStep) -> dict[str, str]:
     at, never = step.controller.size, constant(0.5 * UNSEEN)
     if len(step.first) == at:
         return {"is_bridged": "0", "unguarded": "", "is_unseen": ""}
-    lines = f"""\
-    double unseen[N_STATE];
-    if (!is_dt) {{ /* the law answers, as to a first sample */
-        memcpy(unseen, kept, sizeof unseen);
-        unseen[{at}] = {constant(UNSEEN)};
-        kept = unseen;
-    }}
-"""
+    unguarded = Template(template("unguarded.c"))
     return {
         "is_bridged": f"kept[{at}] > {never}",
-        "unguarded": lines,
+        "unguarded": unguarded.substitute(at=at, unseen=constant(UNSEEN)),
         "is_unseen": f"\n        || after[{at}] < {never}",
     }
 

@@ -99,10 +99,10 @@ class Program:
         differs = (flat != flat[:1]).any(axis=0)
         self._given[name] = differs, flat[0]
         numbers = symbols(flat[0].tolist())
-        if differs.any():
-            self.parameters[name] = self.n_parameters, int(differs.sum())
-            self.n_parameters += int(differs.sum())
-            numbers[differs] = inputs(self.graph, name, int(differs.sum()))
+        if size := int(differs.sum()):
+            self.parameters[name] = self.n_parameters, size
+            self.n_parameters += size
+            numbers[differs] = inputs(self.graph, name, size)
         return numbers.reshape(values.shape[1:])
 
     def filled(self, values: Mapping[str, Array]) -> Array:

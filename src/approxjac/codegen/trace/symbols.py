@@ -398,17 +398,6 @@ class Scalar:
         arrays = [symbols([next(values) for _ in a.flat]).reshape(a.shape) for a, _ in pairs]
         return tuple(each[()] for each in arrays)
 
-    def altered(self, after: Any, before: Any) -> Any:
-        """Return one array where it holds, the other elsewhere: of what differs, see `choose`."""
-        result, changed = symbols(before), symbols(after)
-        differs = [
-            i
-            for i, (a, b) in enumerate(zip(changed.tolist(), result.tolist(), strict=True))
-            if not _is_same(a, b)
-        ]
-        result[differs] = self.graph.rare(self, changed[differs].tolist(), result[differs].tolist())
-        return result
-
     def looped(self, *arguments: Any) -> Any:
         """Do as `law.collect`."""
         return _looped(*arguments)
@@ -646,20 +635,6 @@ class SymbolArray(np.ndarray):
 
         return arm_at(self, robot)
 
-    @staticmethod
-    def moved(robot: Any, q: Any, motion: Any) -> Any:
-        """Do as `robots.traced.moved`."""
-        from approxjac.codegen.arm.rigid_body import moved
-
-        return moved(robot, symbols(q), symbols(motion))
-
-    @staticmethod
-    def motion_between(robot: Any, a: Any, b: Any) -> Any:
-        """Do as `robots.traced.motion_between`."""
-        from approxjac.codegen.arm.rigid_body import difference
-
-        return difference(robot, symbols(a), symbols(b))
-
 
 Values = tuple[Any, ...]
 
@@ -782,7 +757,8 @@ def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], st
     kept: list[tuple[int, ...]] = []  # shapes of what is collected
 
     def flattened(values: Values) -> list[Number]:
-        return [number for each in values for number in symbols(each).ravel().tolist()]
+        numbers = (number for each in values for number in symbols(each).ravel().tolist())
+        return [select(each, 1.0, 0.0) if _is_condition(each) else each for each in numbers]
 
     def split(numbers: Sequence[Number], shapes: Sequence[tuple[int, ...]]) -> Values:
         ends = np.cumsum([math.prod(shape) for shape in shapes]).tolist()
@@ -796,15 +772,12 @@ def _looped(count: int, body: Callable[[Any, Values], tuple[Values, Values]], st
         known = [each == 1.0 if is_truth else each for each, is_truth in pairs]
         return split(known, [each.shape for each in arrays])
 
-    def numbers_of(values: Sequence[Number]) -> list[Number]:
-        return [select(each, 1.0, 0.0) if _is_condition(each) else each for each in values]
-
     def written(i: Scalar, before: list[Number]) -> tuple[list[Number], list[Number]]:
         after, row = body(i, restored(before))
         kept[:] = [symbols(each).shape for each in row]
-        return numbers_of(flattened(after)), numbers_of(flattened(row))
+        return flattened(after), flattened(row)
 
-    left, rows = graph.loop(count, numbers_of(flat), written)
+    left, rows = graph.loop(count, flattened(start), written)
     columns = zip(*(split(row, kept) for row in rows), strict=True)
     return restored(left), tuple(np.stack(column) for column in columns)
 
@@ -848,6 +821,11 @@ def _product(A: Any, b: Symbols) -> Symbols:
 def symbols(values: Any) -> Symbols:
     """Return numbers or symbols as an array."""
     return np.array(values, dtype=object).view(SymbolArray)
+
+
+def graph_of(values: Symbols) -> Graph:
+    """Return the graph of an array's symbols."""
+    return next(each.graph for each in values.ravel().tolist() if isinstance(each, Scalar))
 
 
 def inputs(graph: Graph, name: str, shape: int | tuple[int, ...]) -> Symbols:

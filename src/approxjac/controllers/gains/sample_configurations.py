@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from approxjac.errors import InvalidInputError
+from approxjac.law import SINGULAR_RATIO
 from approxjac.robots import Dynamics, Robot
 from approxjac.tasks import Task
-from approxjac.tasks.analysis import seen_configurations
+from approxjac.tasks.analysis import image_feature, seen_configurations
 from approxjac.validation import Array
 
 _CONFIGURATIONS = 100
@@ -19,6 +20,10 @@ _SINGULAR = 1e-9  # σ_min/σ_max that counts as no rank
 _REGULAR = 0.05  # configurations with σ_min below this share of σ_max are left out
 _FEW = 0.1  # as a share of them, which is too few to know what is usual
 _NO_DAMPING = 1e-9  # instead of none, which would divide by zero
+_LEAST_RATIO = 1e-6  # ratio of singular values
+_OF_POINTS = 6  # coordinates of an image, from which on it may show some motions badly
+_UNUSUAL = 0.2  # of the usual σ_min/σ_max
+_FEWER = 20  # configurations that tell what ratio is usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +112,20 @@ def sample_configurations(task: Task) -> SampleConfigurations:
     units = np.array(task.units)
     groups = tuple(units == unit for unit in dict.fromkeys(task.units))
     return SampleConfigurations(q, J_hat, M, np.linalg.inv(M), groups)
+
+
+def singular_ratio(task: Task, most: float = SINGULAR_RATIO) -> float:
+    """Return the σ_min/σ_max of Ĵ below which it counts as near singular.
+
+    It is `most`; for images of three points or more, in which a tilt makes small differences in
+    every configuration, at most a fifth of the usual ratio.
+    """
+    if task.m < _OF_POINTS or image_feature(task) is None:
+        return most
+    seen = seen_configurations(task, _FEWER)
+    values = [np.linalg.svd(task.jacobian(q, task.value(q)), compute_uv=False) for q in seen]
+    usual = float(np.median([each[-1] / each[0] for each in values]))
+    return min(most, max(_UNUSUAL * usual, _LEAST_RATIO))
 
 
 def usual_inertias(robot: Robot) -> Array:

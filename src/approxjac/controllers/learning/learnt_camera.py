@@ -12,7 +12,7 @@ from approxjac.controllers.arguments import chosen_deviations, chosen_kinds, is_
 from approxjac.controllers.learning.estimator import Estimator, motion_of_points
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
-from approxjac.law import PredictedError
+from approxjac.law import PredictedError, images, rotation
 from approxjac.robots import KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import PointMotion, Unknowns
 from approxjac.robots.traced import moved
@@ -296,7 +296,7 @@ class AdaptiveCamera(Estimator):
         c = (o + H.dot(u) - p).dot(R.T)
         seen &= c[:, 2] > self._camera.near  # others have no image, as far as is known
         left = np.full_like(y, np.nan)
-        left[seen] = y[seen] - law.rays(c[seen], math.exp(stretch))
+        left[seen] = y[seen] - images.rays(c[seen], math.exp(stretch))
         self._account(state, left.ravel(), since)
         if noted[0] > _SETTLED and keys[-2] < _EXPLAINED:
             explained[0] = 1.0
@@ -353,7 +353,7 @@ class AdaptiveCamera(Estimator):
         rho = shrink * (y - state[at["b"]].reshape(-1, 2))
         led, led_dot = shrink * y_dot, shrink * (y_ddot - l_dot * y_dot)
         rho_dot = -l_dot * rho - shrink * state[at["b_dot"]].reshape(-1, 2)  # by what is learnt
-        N, Z = law.ray_basis(rho) * s, c[:, 2:]
+        N, Z = images.ray_basis(rho) * s, c[:, 2:]
         J = (N @ A).reshape(2 * k, -1)
         N_dot = -(s[:, 0] * (led + rho_dot))[:, :, np.newaxis] * A[:, 2:]
         J_dot = (N @ A_dot + N_dot).reshape(2 * k, -1)
@@ -446,7 +446,7 @@ class _KeyFrames:
         self._shape = _KEYS[nq > 0], k, 6 + 3 * self._n + nq
         self._m = math.prod(self._shape)
         self.size = self._m + 2 * self._e + 5
-        everywhere = law.rotations_everywhere(3)  # of which those with the same view are one
+        everywhere = rotation.rotations_everywhere(3)  # of which those with the same view are one
         _, first = np.unique(np.round(everywhere[:, 2], 6), axis=0, return_index=True)
         self._views = everywhere[first]
 
@@ -546,7 +546,7 @@ class _KeyFrames:
         c = self._places(estimate, terms)
         if not (c[:, 2] > _NEAREST).all():
             return math.inf
-        left = terms[1] - law.rays(c, math.exp(estimate[-1]))
+        left = terms[1] - images.rays(c, math.exp(estimate[-1]))
         return 0.5 * float((terms[0] * left * left).sum())
 
     def _away(self, estimate: Array) -> tuple[Array, Array]:
@@ -566,8 +566,8 @@ class _KeyFrames:
         (weights, y, _, H), n = terms, self._n
         (_, R, *_), stretch = _parts(estimate), math.exp(estimate[-1])
         c = self._places(estimate, terms)
-        shown, A = law.rays(c, stretch), law.ray_jacobian(c, stretch)
-        AR, G = A @ R, law.generators(3)
+        shown, A = images.rays(c, stretch), images.ray_jacobian(c, stretch)
+        AR, G = A @ R, rotation.generators(3)
         turns = A @ G.dot(c.T).transpose(2, 1, 0)  # c moves by φ × c
         rows = np.concatenate([AR @ H, -AR, turns, shown[..., np.newaxis]], axis=2)
         rows = rows.reshape(-1, self._size)
@@ -626,7 +626,7 @@ class _KeyFrames:
         center = depth * np.append(math.exp(-stretch) * w.dot(y), 1.0)
         c = (r - w.dot(r)) @ R.transpose(0, 2, 1) + center
         c[..., 2] = np.maximum(c[..., 2], _NEAREST)
-        turns, left = law.image_turn(c[..., :2] / c[..., 2:], y, weights[:, 0])
+        turns, left = images.image_turn(c[..., :2] / c[..., 2:], y, weights[:, 0])
         best = np.argsort(left)[(rank // 2) % min(_VIEWS, len(left))]
         rolled = law.rotation_exp(np.array([0.0, 0.0, turns[best]])).dot(R[best])
         placed[self._n : -4] = rolled.ravel()

@@ -19,7 +19,7 @@ from approxjac.controllers.learning.estimator import (
 )
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Measurement, Target
-from approxjac.law import PredictedError
+from approxjac.law import PredictedError, rotation
 from approxjac.law.factors import inverse, product, solved
 from approxjac.robots import KinematicBelief, KinematicRegressor, Robot
 from approxjac.robots.kinematic_regressor import Unknowns
@@ -194,7 +194,7 @@ class AdaptiveKinematics(Estimator):
         P = np.diag(sd_Theta**2)
         P[: self._n_theta, : self._n_theta] = moved.P
         self._estimator = kind(self._Theta, R, P, sds["camera"], self._n_u, self.noise, moved)
-        spin = len(law.generators(d)) if self._turns else 0
+        spin = len(rotation.generators(d)) if self._turns else 0
         if self._turns:
             turns = [f"camera.r{axis}" for axis in axes] if d == 3 else ["camera.turn"]
             units |= dict.fromkeys(turns, "rad")
@@ -223,7 +223,7 @@ class AdaptiveKinematics(Estimator):
     def _points(self, x: Array) -> Array:
         # of a pose position and axes; what may be turned tells nothing where it is seen in part
         if self._is_pose:
-            R, is_some = law.rotation_of(x[3:])
+            R, is_some = rotation.rotation_of(x[3:])
             x = np.concatenate([x[:3], np.where(is_some, self._l * R.T.ravel(), math.nan)])
         if self._is_turned:
             lost = np.isnan(x.reshape(-1, self._d).sum(axis=1))
@@ -312,7 +312,7 @@ class AdaptiveKinematics(Estimator):
         if not self._learns_T:
             return np.asarray(M.dot(P).dot(M.T))
         end = start + 9
-        tangents = law.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
+        tangents = rotation.tangents(_rotation_of(Theta[start:end])).reshape(3, 3, 3)
         # the rotation vector that small changes of the nine turn T by
         M[start : start + 3, start:end] = 0.5 * tangents.transpose(1, 0, 2).reshape(9, 3).T
         M = np.delete(M, slice(start + 3, end), axis=0)
@@ -337,7 +337,7 @@ class AdaptiveKinematics(Estimator):
         R = self._rotation(state)
         first = np.isfinite(x) & ~(state[at["placed"]] > 0.0)
         if self._is_pose:
-            R_x, is_seen = law.rotation_of(x[3:])
+            R_x, is_seen = rotation.rotation_of(x[3:])
             T = self._turn(q, state[at["u"]]).R.T.dot(R.T).dot(R_x)
             first[3:] = first[3:] & is_seen
             state[at["T"]] = np.where(law.all_of(first[3:]), T.ravel(), state[at["T"]])
@@ -486,7 +486,7 @@ class AdaptiveKinematics(Estimator):
         at, (x_d, x_d_dot, x_d_ddot) = self._at, turn
         T, R = state[at["T"]].reshape(3, 3), self._rotation(state)
         spin = state[at["R_spin"]] if self._turns else np.zeros(3)
-        R_d, is_some = law.rotation_of(x_d)
+        R_d, is_some = rotation.rotation_of(x_d)
         u_dot = state[at["u_dot"]][: self._n_theta]
         R_f, J, J_dot, A = self._turn(q, state[at["u"]], v, u_dot)
         drift = R_f.dot(state[at["T_spin"]]) + A.dot(u_dot)
@@ -496,7 +496,7 @@ class AdaptiveKinematics(Estimator):
         x_d_dot = R.T.dot(x_d_dot)
         speed, of_target = J.dot(v), x_d_dot - R.T.dot(spin)
         # of E' = [ω]ₓE, ω = speed + drift − E of_target; ż is no ω, but for small z
-        drift = law.log_rate(E, speed + drift - E.dot(of_target)) - speed + x_d_dot
+        drift = rotation.log_rate(E, speed + drift - E.dot(of_target)) - speed + x_d_dot
         return PredictedError(law.rotation_log(E), J, J_dot, x_d_dot, x_d_ddot, drift)
 
     def motion_sd(self, state: Array, q_0: Array) -> Callable[[Array], Array]:
@@ -519,7 +519,7 @@ class AdaptiveKinematics(Estimator):
             J[:n_p, : len(u)] = both[:, :-1]
             if spin:
                 ways = both[:, -1].reshape(-1, self._d)
-                moved = np.einsum("sij,kj->kis", law.generators(self._d), ways)
+                moved = np.einsum("sij,kj->kis", rotation.generators(self._d), ways)
                 J[:n_p, -spin:] = moved.reshape(n_p, spin)
             if self._is_pose:
                 (R_f, _, _, A), (R_0, _, _, A_0) = (self._turn(each, u) for each in (q, q_0))
@@ -552,7 +552,7 @@ class AdaptiveKinematics(Estimator):
         T = _rotation_of(Theta[R_u.stop : R_u.stop + 9]) if self._learns_T else np.eye(3)
         first, lengths = whole.n_lengths - 3 * len(whole.frames), whole.n_lengths
         is_whole = d > 1 and np.array_equal(self._along, np.tile(np.eye(d), (n_p // d, 1)))
-        turns = law.generators(d) if is_whole else np.zeros((0, d, d))
+        turns = rotation.generators(d) if is_whole else np.zeros((0, d, d))
         still = np.zeros(self.task.robot.nv), np.zeros(len(theta))
 
         def turned(M: Array) -> Array:
@@ -577,7 +577,7 @@ class AdaptiveKinematics(Estimator):
                 H = np.hstack([H, along(turns, x_hat - b)])
             if self._is_pose:
                 R_f, _, _, A = whole.turn(q, still[0], theta, still[1])
-                axes = (R.dot(R_f) @ law.generators(3) @ T).transpose(2, 1, 0).reshape(9, 3)
+                axes = (R.dot(R_f) @ rotation.generators(3) @ T).transpose(2, 1, 0).reshape(9, 3)
                 tool_turn = np.concatenate([np.zeros((n_p, 3)), self._l * axes])
                 Y[n_p:] = along(turns, x_hat[n_p:]).dot(R.dot(A))
             H = np.hstack([H, Y[:, lengths:] * angles]) if len(angles) else H
@@ -756,7 +756,7 @@ class _UnknownRotation(_KnownRotation):
 
     @cached_property
     def _everywhere(self) -> Array:
-        return law.rotations_everywhere(self._d).reshape(-1, self._d**2)
+        return rotation.rotations_everywhere(self._d).reshape(-1, self._d**2)
 
     @property
     def late(self) -> int:
@@ -797,26 +797,26 @@ class _UnknownRotation(_KnownRotation):
         # that of the least squares: rotation first, all else given the rotation
         N, a, B, E, Theta, A = self._split(numbers)
         found, M, h = _reduced(N, a, B, E)
-        known, axes = np.linalg.eigh(law.rotation_information(M, h, A))
+        known, axes = np.linalg.eigh(rotation.derivatives(M, h, A)[1])
         # of δ, with A ← exp([δ]ₓ)A; nothing is known less well than before
         of_delta = (axes / np.maximum(known, self._sd_R**-2.0)).dot(axes.T)
-        moved = np.concatenate([found[:, 1:].dot(law.tangents(A)), np.eye(len(of_delta))])
+        moved = np.concatenate([found[:, 1:].dot(rotation.tangents(A)), np.eye(len(of_delta))])
         joint, n, P = moved.dot(of_delta).dot(moved.T), self._n_u, self._P
         joint[:P, :P] += inverse(N)
         # b = Rc with R = Aᵀ ← R exp(−[δ]ₓ), and φ = −Rδ (−δ in the plane)
         c, R, T = Theta[n:], A.T, np.eye(len(joint))
         T[n:P, n:P] = R
-        T[n:P, P:] = -R.dot((law.generators(self._d) @ c).T)
+        T[n:P, P:] = -R.dot((rotation.generators(self._d) @ c).T)
         T[P:, P:] = -R if self._d == 3 else -1.0
         return np.asarray(T.dot(joint).dot(T.T))
 
     def _rotation(self, M: Array, h: Array, A: Array) -> Array:
-        near = law.best_rotation(M, h, A)
-        start = law.most_explained(M, h, self._everywhere)
+        near = rotation.best_rotation(M, h, A)
+        start = rotation.most_explained(M, h, self._everywhere)
 
         def elsewhere() -> tuple[Array]:
-            other = law.best_rotation(M, h, start.reshape(A.shape))
-            better = law.explained(M, h, other) > law.explained(M, h, near) + _ODDS
+            other = rotation.best_rotation(M, h, start.reshape(A.shape))
+            better = rotation.explained(M, h, other) > rotation.explained(M, h, near) + _ODDS
             return (law.select(better, other, near),)
 
         is_other = start.dot(near.ravel()) <= _SAME * self._d

@@ -14,12 +14,19 @@ from approxjac.controllers.arguments import HUGE, require_dt, sampling_time
 from approxjac.controllers.controller import Controller
 from approxjac.controllers.gains.sample_configurations import max_damping_rate, usual_inertias
 from approxjac.controllers.guard import usual_accelerations
-from approxjac.controllers.limits.limit import Limit, LimitTerms, require_rows, rows_at
-from approxjac.controllers.limits.limits import Limits, sure_deceleration
+from approxjac.controllers.limits.limits import (
+    Limit,
+    Limits,
+    LimitTerms,
+    require_rows,
+    rows_at,
+    sure_deceleration,
+)
 from approxjac.controllers.limits.quadratic_program import Solver
 from approxjac.controllers.wrapper import ControllerWrapper
 from approxjac.errors import InvalidInputError
 from approxjac.interface import Evaluation, LimitStatus, Measurement, Status, Target
+from approxjac.law import limits as limiting
 from approxjac.robots.traced import positions_at
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array, as_number, read_only, require
@@ -75,13 +82,13 @@ class AccelerationObserver:
     def __init__(self, controller: Controller, dt: float, rate: float, fastest: Array) -> None:
         robot = controller.task.robot
         self.dynamics, self.has_weight = controller.believed_dynamics()
-        self._n, self._rotors = robot.nv, None
+        self._n, self.rotors = robot.nv, None
         self._least, self._largest = _LIGHTEST, 1.0
         if controller.rotors is not None:
-            self._rotors, inertias = np.diag(controller.rotors), usual_inertias(robot)
+            self.rotors, inertias = np.diag(controller.rotors), usual_inertias(robot)
             mobility, geared = (
                 np.linalg.inv(M).diagonal(axis1=1, axis2=2).max(axis=0)
-                for M in (inertias, inertias + self._rotors)
+                for M in (inertias, inertias + self.rotors)
             )
             self._least, self._largest = _GEARED, mobility / geared
         self._dt, self._per_period, self._share = dt, np.array(1.0 / dt), np.array(rate * dt)
@@ -128,16 +135,7 @@ class AccelerationObserver:
         """Return f for a torque, (n_v,) [rad/s² or m/s²]; `gravity` is the compensated one."""
         _, q, v, _, _ = measurement
         torque = torque if self.has_weight else torque - gravity
-        if self._rotors is None:
-            return self.dynamics.forward(q, v, torque)
-        bias = self.dynamics.inverse(q, v, 0.0 * v)
-        return np.asanyarray(np.linalg.solve(self.dynamics.M(q) + self._rotors, torque - bias))
-
-    def M_inv(self, q: Array) -> Array:
-        """Return the inverse of the inertia matrix, with rotors; shape (n_v, n_v)."""
-        if self._rotors is None:
-            return self.dynamics.M_inv(q)
-        return np.asanyarray(np.linalg.solve(self.dynamics.M(q) + self._rotors, np.eye(self._n)))
+        return self.dynamics.forward(q, v, torque, self.rotors)
 
     def expecting(self, measurement: Measurement, f: Array, memory: Array) -> Array:
         """Return the memory after sending a torque with this f."""
@@ -347,12 +345,13 @@ class TorqueLimited(ControllerWrapper):
             before = np.where(before > _SET, g, before)
             within = np.minimum(np.maximum(before, lower), upper)
             with np.errstate(over="ignore"):  # no bound at all, of an absurd rate or dt
-                lower, upper = law.rate_bounds(within, self._rate, dt, lower, upper)
+                lower = np.maximum(lower, within - dt * self._rate)
+                upper = np.minimum(upper, within + dt * self._rate)
         torque: Array = np.minimum(np.maximum(wanted, lower), upper)
         is_free = law.all_equal(torque, wanted)
         status, slack = _FREE, 0.0
         if is_free is not True or self._looks_ahead:
-            asked = law.AskedTorque(wanted, lower, upper, torque, law.complement(is_free))
+            asked = limiting.AskedTorque(wanted, lower, upper, torque, law.complement(is_free))
             torque, status, slack, memory = self.limited(answer, g, measurement, asked, memory)
             if self._p:
                 after = self._rested(after, state, measurement, answer, torque, status, dt)
@@ -370,7 +369,7 @@ class TorqueLimited(ControllerWrapper):
         answer: Evaluation,
         gravity: Array,
         measurement: Measurement,
-        asked: law.AskedTorque,
+        asked: limiting.AskedTorque,
         memory: Array,
     ) -> tuple[Array, Any, Any, Array]:
         """Return the limited torque, its status, σ [W], and the new memory.
@@ -378,14 +377,14 @@ class TorqueLimited(ControllerWrapper):
         It runs on symbols, too. `gravity` is the gravity torque in the law's answer, shape (n_v,).
         """
         forward = partial(self._prediction.forward, measurement, gravity)
-        M_inv = partial(self._prediction.M_inv, measurement.q)
+        M_inv = partial(self._prediction.dynamics.M_inv, measurement.q, self._prediction.rotors)
         output = partial(self._passive_output, answer, measurement.v) if self.proof else None
 
-        def brakes(M_inv: Array, bounds: law.TorqueRows) -> Array:
+        def brakes(M_inv: Array, rows: limiting.Rows, at_rest: Array) -> Array:
             lower, upper = asked.lower, asked.upper
             hold = np.minimum(np.maximum(gravity, lower), upper)
             rest, solver = -self._braking * measurement.v / rho, self._brakes.minimum
-            return law.braked(M_inv, bounds, lower, upper, rest, hold, solver)
+            return limiting.braked(M_inv, rows, at_rest, lower, upper, rest, hold, solver)
 
         residual = rows = None
         rho = self._one
@@ -448,19 +447,19 @@ class TorqueLimited(ControllerWrapper):
                 after[:p] += dt * self._law.rate_without(locked, state, measurement, answer)
         return after
 
-    def rows(self, measurement: Measurement) -> law.Rows:
+    def rows(self, measurement: Measurement) -> limiting.Rows:
         """Return the bounds of motion at a configuration and speed."""
         t, q, v, *_ = measurement
-        speeds = law.speed_bounds(positions_at(self.task.robot, q), self._joints)
+        speeds = self._joints.speed_bounds(positions_at(self.task.robot, q))
         bounds = law.acceleration_bounds(v, speeds, self._braking, self._jerk)
         if self._acceleration is not None:
             bounds = np.minimum(np.maximum(bounds, -self._acceleration), self._acceleration)
         if not self.motion_limits:
-            return law.Rows(*bounds)
+            return limiting.Rows(*bounds)
         terms = self._terms(q, v)
         more = [rows_at(limit, terms, self._dt, t) for limit in self.motion_limits]
         E, lows, highs = zip(*more, strict=True)
-        return law.Rows(
+        return limiting.Rows(
             np.concatenate([bounds[0], *lows]),
             np.concatenate([bounds[1], *highs]),
             np.concatenate(E),
@@ -469,7 +468,9 @@ class TorqueLimited(ControllerWrapper):
     def is_exceeded(self, measurement: Measurement) -> Any:
         """Return True if a joint is beyond its limits of speed or position."""
         q, v = positions_at(self.task.robot, measurement.q), measurement.v
-        return law.complement(law.within(self._beyond[0], q.tolist() + v.tolist(), self._beyond[1]))
+        return law.complement(
+            limiting.within(self._beyond[0], q.tolist() + v.tolist(), self._beyond[1])
+        )
 
     def _terms(self, q: Array, v: Array) -> LimitTerms:
         return LimitTerms(
@@ -484,7 +485,7 @@ class TorqueLimited(ControllerWrapper):
             y = y - answer.reference
         if self._per_speed is None:
             return y, self._rho
-        return y, self._rho / law.largest(((y - v) * self._per_speed).tolist(), 1.0)
+        return y, self._rho / limiting.largest(((y - v) * self._per_speed).tolist(), 1.0)
 
     def __repr__(self) -> str:
         numbers = f"dt={self._dt:g}, braking={self.braking:g}"

@@ -106,8 +106,8 @@ class MovingForm(SampledForm):
         """The terms of the moving target."""
         at, setting, friction = self.samples, self.setting, self._friction
         return moves.motion(
-            at.M, at.dM, self._of_samples.D - np.diag(friction), at.J, at.J_hat, at.dJ_hat,
-            self._pinv, self.line.d, at.s, at.slope, at.dg, setting.kp, setting.kv, friction,
+            (at.M, at.dM), self._of_samples.D - np.diag(friction), at.J, (at.J_hat, at.dJ_hat),
+            self._pinv, self.line.d, (at.s, at.slope), at.dg, (setting.kp, setting.kv), friction,
         )  # fmt: skip
 
     @property
