@@ -35,9 +35,11 @@ def require_arrays(
 ) -> tuple[Array, Array, Array]:
     """Return q, v and x; raise an InvalidInputError if an argument is no array of its size."""
     _, q, v, x, _ = as_measurement(measurement)
-    sizes = task.robot.nq, task.robot.nv, task.n_x, task.n_x, n_state
-    for name, value, size in zip(_ARRAYS, (q, v, x, target, state), sizes, strict=True):
-        if not (type(value) is np.ndarray and value.dtype is FLOAT64 and value.shape == (size,)):
+    arrays, n_x = (q, v, x, target, state), task.n_x
+    sizes = task.robot.nq, task.robot.nv, n_x, n_x, n_state
+    usual = [type(a) is np.ndarray and a.dtype is FLOAT64 and a.shape for a in arrays]
+    if usual != [(size,) for size in sizes]:
+        for name, value, size in zip(_ARRAYS, arrays, sizes, strict=True):
             require_array(name, value, size, task)
     return q, v, x
 
