@@ -1593,8 +1593,12 @@ MUTANTS = [
     ),
     (
         "reference that knows no joint stops", "law/tracking.py",
-        "towards = any_of((near > 0.0)", "towards = any_of((near > 9.0)",
+        "towards = (near > _ZERO)", "towards = (near > 9.0)",
         "tests/controllers/test_tracking.py",
+    ),
+    (
+        "joints far from a stop too soon", "law/tracking.py",
+        "_OUTSIDE = 1.001", "_OUTSIDE = 0.9", "tests/law/test_tracking.py",
     ),
     (
         "shares of joints without their rate", "law/tracking.py",
@@ -1602,7 +1606,7 @@ MUTANTS = [
     ),
     (
         "away from a stop as slowly as towards it", "law/tracking.py",
-        "s = np.maximum(sides * v_r * per, 0.0)", "s = np.abs(v_r * per)",
+        "s = side * v_r * per", "s = v_r * per",
         "tests/controllers/test_tracking.py",
     ),
     (
@@ -1704,7 +1708,7 @@ MUTANTS = [
     ),
     (
         "sliding joints share as turning ones", "law/tracking.py",
-        "v_r, a_r, damping = shared(shares, 0.0 * v)",
+        "v_r, a_r, damping = shared(shares, none)",
         "v_r, a_r, damping = reference(J_hat, J_hat_dot, u, u_dot, *null, *ratio)",
         "tests/law/test_tracking.py",
     ),

@@ -18,7 +18,7 @@ TEACH, DT = TrackingGains(self_motion="teach"), 2e-3
 def motion(ratio=0.05, size=0.15):
     """A self-motion of three joints within ± 2 rad."""
     ones = np.ones(3)
-    stops = law.StopZones(-2.0 * ones, 2.0 * ones, 0.5 * ones, 0.1 * ones)
+    stops = law.StopZones.of(-2.0 * ones, 2.0 * ones, 0.5 * ones, 0.1 * ones)
     omega, phase = np.array([0.3, 0.5, 0.9]), np.array([0.0, 2.0, 4.0])
     return law.TeachingMotion(size, omega, phase, stops, ones, ratio, 1e-3)
 

@@ -115,7 +115,7 @@ def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):
     z, drift, feed, v = (rng.normal(size=k) for k in (3, 3, 3, 7))
     q = rng.uniform(0.7, 0.95, 7) * rng.choice([-1.0, 1.0], 7) if near_stops else np.zeros(7)
     ones = np.ones(7)
-    stops = law.StopZones(-ones, ones, 0.5 * ones, 0.1 * ones)
+    stops = law.StopZones.of(-ones, ones, 0.5 * ones, 0.1 * ones)
     shares = np.geomspace(0.02, 1.0, 7) if sliding else None
     gains = law.ReferenceGains(3.0, 1.0 / 0.5, np.full(7, np.inf), 1e-3, 0.0, stops, shares)
 
@@ -139,10 +139,28 @@ def test_joints_share_the_motion_that_the_task_needs(rng, near_stops, sliding):
         assert np.abs((v_r - null(0.0))[0]) < 0.2 * np.abs((alone - null(0.0))[0])
 
 
+def test_what_is_far_from_a_stop_is_in_no_zone(rng):
+    """Whatever is rounded: also within a few last digits of where a zone begins."""
+    low, high = np.sort(rng.uniform(-4.0, 4.0, (2, 7)), axis=0)
+    stops = law.StopZones.of(low, high, 0.12 * (high - low), np.ones(7))
+    far = 0
+    for _ in range(2000):
+        edge = np.where(rng.random(7) < 0.5, low + stops.zone, high - stops.zone)
+        q, v_r = (
+            edge + rng.choice([0.0, 1e-15, 1e-3, 0.1], 7) * rng.normal(size=7),
+            rng.normal(size=7),
+        )
+        near, sides = stops.near(q)
+        if stops.are_far(q, v_r):
+            far += 1
+            assert not ((near > 0.0) & (sides * v_r > 0.0)).any()
+    assert far > 20
+
+
 def test_joints_at_a_stop_are_hardly_pushed_into_it(rng):
     """Three of seven joints at their ends: neither at first nor for what the others leave."""
     ones, nothing, speeds, shares = np.ones(7), np.zeros(7), [], []
-    stops = law.StopZones(-ones, ones, 0.5 * ones, 0.1 * ones)
+    stops = law.StopZones.of(-ones, ones, 0.5 * ones, 0.1 * ones)
     gains = law.ReferenceGains(6.0, 2.0, np.full(7, np.inf), 1e-3, 0.0, stops)
     for _ in range(200):
         J, z, still = rng.normal(size=(3, 7)), 0.05 * rng.normal(size=3), np.zeros(3)

@@ -17,13 +17,14 @@ HUGE = 1e30  # below it nothing overflows in the law with gains that make sense
 LONGEST_DELAY = 1.0  # of a sensor [s]: one that is longer is in milliseconds
 _NEARLY = 1e-3  # of a rotation, with the round-off of days
 _NUMBERS = (list, tuple, int, float)
+_ARRAYS = ("q", "v", "x", "target", "state")
 
 
 def as_measurement(value: Any) -> Measurement:
     """Return a `Measurement` with times that are floats, or symbols; raise for anything else."""
     require("measurement", value, Measurement, "Measurement(t, q, v, x)")
     t, q, _, _, t_x = value
-    if hasattr(q, "arm_of"):
+    if hasattr(q, "arm_of") or (type(t) is float and (t_x is None or type(t_x) is float)):
         return value
     t = t if isinstance(t, float) else as_number("t of a measurement", t, unit="s")
     return value._replace(t=t, t_x=t_x if t_x is None or isinstance(t_x, float) else time_of_x(t_x))
@@ -34,17 +35,17 @@ def require_arrays(
 ) -> tuple[Array, Array, Array]:
     """Return q, v and x; raise an InvalidInputError if an argument is no array of its size."""
     _, q, v, x, _ = as_measurement(measurement)
-    named = {"q": q, "v": v, "x": x, "target": target, "state": state}
-    sizes = task.robot.nq, task.robot.nv, task.n_x, task.n_x, n_state
-    for (name, value), size in zip(named.items(), sizes, strict=True):
-        require_array(name, value, size, task)
+    arrays, n_x = (q, v, x, target, state), task.n_x
+    sizes = task.robot.nq, task.robot.nv, n_x, n_x, n_state
+    usual = [type(a) is np.ndarray and a.dtype is FLOAT64 and a.shape for a in arrays]
+    if usual != [(size,) for size in sizes]:
+        for name, value, size in zip(_ARRAYS, arrays, sizes, strict=True):
+            require_array(name, value, size, task)
     return q, v, x
 
 
 def require_array(name: str, value: Array, size: int, task: Task) -> None:
     """Raise an InvalidInputError unless a value is a float vector of the task's size."""
-    if type(value) is np.ndarray and value.shape == (size,) and value.dtype is FLOAT64:
-        return  # the quick way
     is_array = isinstance(value, np.ndarray) and not isinstance(value, np.ma.MaskedArray)
     if is_array and value.shape == (size,) and value.dtype == FLOAT64:
         return

@@ -254,6 +254,8 @@ class TrackingController(Immutable, Controller):
             singular_ratio(task, most), vanishing(task), _stops(task, limits),
             _shares(task, limits),
         )  # fmt: skip
+        self._kappa = np.array(self.kappa)
+        self._used = UsedGains(self._gains.alpha, self._most, self._added)
         self._continuous = robot.nq != robot.nv
         if command == "torque" and np.isfinite(self._most).any():
             self.rotors = first.rotors
@@ -369,7 +371,7 @@ class TrackingController(Immutable, Controller):
         _, q, v, x, _ = measurement
         p, end, dt = self.resting, self._end, self.dt
         known = state[p:end]
-        used, rates = UsedGains(self._gains.alpha, self._most, self._added), self._gains
+        used, rates = self._used, self._gains
         after = state.copy()
         if self._raised is not None:
             after[end : self._last], used = self._raised.step(state[end : self._last], v)
@@ -415,7 +417,7 @@ class TrackingController(Immutable, Controller):
         a_hat, motion, g = self.dynamics.step(state[:p], q, v, v_r, a_r, learns, dt, **learnt)
         after[:p] = a_hat
         sigma, M = v - v_r, self.dynamics.inertia(q)
-        damped = self.kappa * (M.dot(sigma) + used.added * sigma)
+        damped = self._kappa * (M.dot(sigma) + used.added * sigma)
         if self.rotors is not None:
             A = self.kappa * (M + np.diag(used.added))
             most = np.minimum(used.most, _RIGID)
@@ -588,6 +590,7 @@ class RestConfiguration:
             whole = np.where(np.array(robot.joint_units) == "m", 2.0, 2.0 * np.pi)
             self._pull[upper - lower > _WHOLE * whole] = 0.0
             self._free = _FREE * (upper - lower)
+            self._at_ease = self._pull * 0.0  # of joints that nothing pulls back
             self.q = robot.configuration(0.5 * (lower + upper))
             return
         self.q = as_array("posture", robot.configuration(q, "posture"), (robot.nq,))
@@ -606,6 +609,8 @@ class RestConfiguration:
             rate = np.where(self._continuous, a * c + b * s, 1.0) * v
         if self._free is not None:
             within = np.minimum(np.maximum(away, -self._free), self._free)
+            if law.surely(law.all_equal(within, away)):
+                return self._at_ease, self._at_ease
             away, rate = away - within, np.where(within == away, 0.0, rate)
         s, s_dot = law.saturated(away, rate, self._share)
         return self._pull * s, self._pull * s_dot
@@ -673,7 +678,7 @@ def _stops(task: Task, limits: Limits) -> law.StopZones | None:
         return None
     low, high = np.clip(np.array(limits.position), -_NO_END, _NO_END)
     slow = np.minimum(_SLOW * np.asarray(limits.velocity), _SLOW)
-    return law.StopZones(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
+    return law.StopZones.of(low, high, np.minimum(_ZONE * (high - low), _WIDEST), slow)
 
 
 def _detour(task: Task, gains: law.ReferenceGains, dt: float) -> law.Detour:

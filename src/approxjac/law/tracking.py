@@ -13,7 +13,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from approxjac.law.branches import any_of, array, choose, complement, is_finite, select
+from approxjac.law.branches import (
+    all_finite,
+    any_of,
+    array,
+    choose,
+    complement,
+    is_finite,
+    select,
+)
 from approxjac.law.products import root
 from approxjac.law.pseudoinverse import (
     SINGULAR_RATIO,
@@ -49,6 +57,8 @@ class PredictedError(NamedTuple):
     drift: Array
 
 
+_ZERO, _ONE = np.array(0.0), np.array(1.0)  # as arrays, which NumPy takes sooner than numbers
+_OUTSIDE = 1.001  # zones from an end, where nothing is rounded to be in one
 _PASSES = 2  # in which shares are found
 _CREEPS = 0.2  # of the speed that counts as one towards an end: what is left of it at the end
 _FREELY, _FULL = 0.5, 0.8  # shares of largest speeds, between which `TeachingMotion` slows down
@@ -63,29 +73,46 @@ class StopZones(NamedTuple):
     high: Array
     zone: Array  # δ, in front of each end
     slow: Array  # v₀, above which a speed towards it counts
+    free: tuple[list[float], list[float]]  # positions between which each joint is in none
 
-    def shares(
-        self, near: Array, v: Array, v_r: Array, a_r: Array, sides: Array
-    ) -> tuple[Array, Array]:
-        """Return the share r of each joint in a motion, and its derivative, (n_v,) each.
+    @classmethod
+    def of(cls, low: Array, high: Array, zone: Array, slow: Array) -> StopZones:
+        """Return those of ranges (n_v,) with zones δ."""
+        free = low + _OUTSIDE * zone, high - _OUTSIDE * zone
+        return cls(low, high, zone, slow, (free[0].tolist(), free[1].tolist()))
 
-        r = 1 − c²(3 − 2c) s²/(1 + s²), with c from 0 to 1 on the way through the zone, and s the
-        reference's speed towards the end, over v₀, which falls to a fifth of it at the end.
-        """
-        c, c_dot = np.minimum(near, 1.0), sides * v / self.zone
-        c_dot = np.where(near < 1.0, c_dot, 0.0)
-        per = 1.0 / (self.slow * (1.0 - (1.0 - _CREEPS) * c))
-        s = np.maximum(sides * v_r * per, 0.0)
-        s_dot = (sides * a_r + s * self.slow * (1.0 - _CREEPS) * c_dot) * per
-        s_dot = np.where(s > 0.0, s_dot, 0.0)
-        depth, speed = c * c * (3.0 - 2.0 * c), s * s / (1.0 + s * s)
-        depth_dot, speed_dot = 6.0 * c * (1.0 - c) * c_dot, 2.0 * s * s_dot / (1.0 + s * s) ** 2
-        return 1.0 - depth * speed, -(depth_dot * speed + depth * speed_dot)
+    def are_far(self, motion: Array, v_r: Array) -> bool:
+        """Return True if surely no joint moves towards an end that is near, at a motion (n_v,)."""
+        if motion.dtype.hasobject:
+            return False
+        each = zip(motion.tolist(), v_r.tolist(), *self.free, strict=True)
+        return all((low < q or v > 0.0) and (q < high or v < 0.0) for q, v, low, high in each)
 
     def near(self, motion: Array) -> tuple[Array, Array]:
         """Return the depth of joints in their zones, with its sign, at a motion (n_v,)."""
-        low, high = (self.low - motion) / self.zone + 1.0, (motion - self.high) / self.zone + 1.0
-        return np.maximum(np.maximum(low, high), 0.0), np.where(high > low, 1.0, -1.0)
+        low, high = (self.low - motion) / self.zone + _ONE, (motion - self.high) / self.zone + _ONE
+        return np.maximum(np.maximum(low, high), _ZERO), np.copysign(_ONE, high - low)
+
+
+def smaller_share(
+    r: Any, r_dot: Any, near: Any, side: Any, v: Any, v_r: Any, a_r: Any, zone: Any, slow: Any
+) -> tuple[Any, Any]:
+    """Return a joint's share r in a motion, less of it towards an end of `StopZones`; and its rate.
+
+    r ← r (1 − c²(3 − 2c) s²/(1 + s²)), with c from 0 to 1 on the way through the zone, and s the
+    reference's speed towards the end, over v₀, which falls to a fifth of it at the end.
+    """
+    c, c_dot = select(near < 1.0, near, 1.0), side * v / zone
+    c_dot = select(near < 1.0, c_dot, 0.0)
+    per = 1.0 / (slow * (1.0 - (1.0 - _CREEPS) * c))
+    s = side * v_r * per
+    s = select(s > 0.0, s, 0.0)
+    s_dot = (side * a_r + s * slow * (1.0 - _CREEPS) * c_dot) * per
+    s_dot, more = select(s > 0.0, s_dot, 0.0), 1.0 + s * s
+    depth, speed = c * c * (3.0 - 2.0 * c), s * s / more
+    depth_dot, speed_dot = 6.0 * c * (1.0 - c) * c_dot, 2.0 * s * s_dot / (more * more)
+    less, less_dot = 1.0 - depth * speed, -(depth_dot * speed + depth * speed_dot)
+    return r * less, r_dot * less + r * less_dot
 
 
 class TeachingMotion(NamedTuple):
@@ -281,14 +308,13 @@ def reference_step(
     )
     if gains.beside is not None:
         u, u_dot = u - gains.beside[0], u_dot - gains.beside[1]
-    is_known = is_finite(np.concatenate([u, u_dot, J_hat.ravel()]))
+    is_known = all_finite([*u.tolist(), *u_dot.tolist(), *J_hat.ravel().tolist()])
 
-    ratio, stops = (gains.singular_ratio, gains.scale), gains.stops
+    ratio, stops, none = (gains.singular_ratio, gains.scale), gains.stops, np.zeros(len(v))
 
     def shared(r: Array, r_dot: Array) -> tuple[Array, Array, Any]:
         n, n_dot = null
         b = u - J_hat.dot(n), u_dot - J_hat_dot.dot(n) - J_hat.dot(n_dot)
-        none = 0.0 * v
         J_r, J_r_dot = J_hat * r, J_hat_dot * r + J_hat * r_dot
         p, p_dot, damping = reference(J_r, J_r_dot, *b, none, none, *ratio)
         return n + r * p, n_dot + r_dot * p + r * p_dot, damping
@@ -298,28 +324,27 @@ def reference_step(
         if shares is None:
             v_r, a_r, damping = reference(J_hat, J_hat_dot, u, u_dot, *null, *ratio)
         else:
-            v_r, a_r, damping = shared(shares, 0.0 * v)
-        if stops is None or motion is None:
+            v_r, a_r, damping = shared(shares, none)
+        if stops is None or motion is None or stops.are_far(motion, v_r):
             return *within_speeds(v_r, a_r, gains.fastest), damping
         near, sides = stops.near(motion)
-        r, r_dot = np.ones(len(v)) if shares is None else shares, 0.0 * v
-        found = v_r, a_r, damping, r, r_dot
+        found = none + _ONE if shares is None else shares, none, v_r, a_r, damping
         for _ in range(_PASSES):  # what some joints leave may bring others to a stop
+            towards = (near > _ZERO) & (sides * found[2] > _ZERO)
 
-            def away(found: tuple[Any, ...] = found) -> tuple[Any, ...]:
-                v_r, a_r, _, r, r_dot = found
-                less, less_dot = stops.shares(near, v, v_r, a_r, sides)
-                r, r_dot = r * less, r_dot * less + r * less_dot
-                return *shared(r, r_dot), r, r_dot
+            def away(towards: Any = towards, found: tuple[Any, ...] = found) -> tuple[Any, ...]:
+                columns = towards, *found[:2], near, sides, v, *found[2:4], stops.zone, stops.slow
+                rows = zip(*(column.tolist() for column in columns), strict=True)
+                each = (row[:2] if is_so is False else smaller_share(*row) for is_so, *row in rows)
+                r, r_dot = map(array, zip(*each, strict=True))
+                return r, r_dot, *shared(r, r_dot)
 
-            towards = any_of((near > 0.0) & (sides * found[0] > 0.0))
-            found = choose(towards, away, partial(tuple, found))
-        v_r, a_r, damping, *_ = found
+            found = choose(any_of(towards), away, partial(tuple, found))
+        *_, v_r, a_r, damping = found
         return *within_speeds(v_r, a_r, gains.fastest), damping
 
-    nothing = np.zeros(len(v))
     still = waits | complement(is_known)
-    v_r, a_r, damping = choose(still, lambda: (nothing, nothing, 0.0), moves)
+    v_r, a_r, damping = choose(still, lambda: (none, none, 0.0), moves)
     return v_r, a_r, damping > 0.0, is_known
 
 

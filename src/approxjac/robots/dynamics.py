@@ -131,10 +131,10 @@ class Dynamics(Immutable):
 
 
 COULOMB_SPEED = 0.05  # speed within which Coulomb friction passes from −τ_c to τ_c [rad/s or m/s]
-REFERENCE_SPEED = 0.01  # the same of a reference velocity, which has no noise
+REFERENCE_SPEED = np.array(0.01)  # the same of a reference velocity, which has no noise
 
 _RANK_TOLERANCE = 1e-9
-HALF = np.array(0.5)  # an array, which NumPy multiplies with in a third of the time of a number
+HALF = np.array(0.5)  # arrays, which NumPy multiplies with in a third of the time of a number
 _OF_A_LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _OF_A_JOINT = {  # and their units where it turns and where it slides
     "rotor": ("kg m²", "kg"),

@@ -576,12 +576,13 @@ def mass_matrix(mimic_joints: MimicJoints, data: pin.Data, q: Array) -> Array:
 
 def symmetric(upper: Array) -> Array:
     """Return a symmetric matrix from its upper triangle, shape (n, n)."""
-    return np.where(_is_lower(len(upper)), upper.T, upper)
+    return upper.T.take(_places(len(upper)))  # Pinocchio's matrices are by columns
 
 
 @cache
-def _is_lower(n: int) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    return np.tri(n, k=-1, dtype=bool)
+def _places(n: int) -> np.ndarray[Any, np.dtype[np.intp]]:
+    i, j = np.indices((n, n))
+    return n * np.maximum(i, j) + np.minimum(i, j)
 
 
 def require_inertia(model: pin.Model, mimic_joints: MimicJoints, source: str) -> None:

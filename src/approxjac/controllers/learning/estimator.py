@@ -578,9 +578,12 @@ class Frames:
         """
         n, (t, _, _, x, _) = self._n_x, measurement
         t_x: Any = measurement.t_x
-        head, seen = numbers[: n + 4], np.abs(x) < _FARTHEST
         (taken_before,) = numbers[n : n + 1].tolist()  # a number of Python is quicker than NumPy's
-        known, knows_time = np.where(seen, x, 0.0), t_x <= t + _AHEAD
+        knows_time = t_x <= t + _AHEAD
+        if law.surely(knows_time & (t_x <= taken_before) & (taken_before > _LONG_AGO)):
+            return None, False
+        head, seen = numbers[: n + 4], np.abs(x) < _FARTHEST
+        known = np.where(seen, x, 0.0)
         # a clock that is ahead is wrong, and would say of one frame that it is always new
         is_old = law.select(knows_time, t_x <= taken_before, law.all_equal(known, numbers[:n]))
         is_old = is_old & (taken_before > _LONG_AGO)

@@ -153,8 +153,8 @@ class AdaptiveKinematics(Estimator):
         self._moved = moved = Unknowns(self.regressor, kinds, sds, prior, set(sd or ()))
         entries = [(frames.index(frame), axis) for frame, each in points for axis in each]
         rows = [3 * frame + "xyz".index(axis) for frame, axis in entries]
-        in_order = rows == list(range(3 * self.regressor.k))
-        self._rows: slice | Array = slice(None) if in_order else np.array(rows)
+        self._is_all = rows == list(range(3 * self.regressor.k))
+        self._rows: slice | Array = slice(None) if self._is_all else np.array(rows)
         self._n_p, self._n_theta = len(rows), len(moved.u)
         # What the last encoder is off by turns the tool only: learnt beside one, it would be taken
         # as seen, as H is about a tool that is not known at first. So the tool is learnt as turned.
@@ -467,7 +467,7 @@ class AdaptiveKinematics(Estimator):
         """Return the predicted error of positions x̂ = R̂p + b̂, in the base's axes."""
         at, n = self._at, self._n_theta
         motion = self._moved.motion(q, v, state[at["u"]][:n], state[at["u_dot"]][:n])
-        p, J, J_dot, drift = (part[self._rows] for part in motion)
+        p, J, J_dot, drift = motion if self._is_all else (part[self._rows] for part in motion)
         p = p + self._constant
         x_d, x_d_dot, x_d_ddot = wanted
         away, b_dot, spin = state[at["b"]] - x_d, state[at["b_dot"]], state[at["R_spin"]]
