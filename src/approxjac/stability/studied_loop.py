@@ -17,6 +17,7 @@ from approxjac.simulation.simulate import require_fit, wanted_of
 from approxjac.stability.errors.region import Region, uncovered
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop, usual_region
+from approxjac.stability.report.move_bounds import Moves
 from approxjac.stability.report.other_laws import OtherLawReport, near_targets
 from approxjac.stability.report.report import StabilityReport, report_of
 from approxjac.stability.rollouts.rollouts import Execution, Rollouts, carried_out
@@ -111,10 +112,38 @@ class StudiedLoop:
             tell("moves", 0.0)
             ways = moves * np.eye(controller.task.m)
             try:
-                report = replace(report, moves=certified_moves(self, [*ways, *-ways]))
+                report = replace(report, moves=self.moves([*ways, *-ways]))
             except InvalidInputError as error:  # what the theorem does not cover
                 report = replace(report, unmoved=str(error).split(", got ")[0])
         return report
+
+    def moves(
+        self,
+        displacements: Sequence[Sequence[float]] | Array | None = None,
+        *,
+        start: Sequence[float] | Array | None = None,
+        speed: float | None = None,
+    ) -> Moves:
+        """Find the largest speeds of the target along lines, with bounds of ‖e‖ and of the joints.
+
+        The target begins at the measured tip of an arm at rest and is eased along each line, as by
+        `paths.Line` or by `control`. Every robot of the box then stays within the bounds. The loop
+        is sampled with the period of its latency. Torque limits are not looked at.
+
+        Args:
+            displacements: Of the target, shape (k, m) or (m,) [unit of the task]; by default 20 cm
+                along each axis of a position, to both sides.
+            start: Configuration at rest, shape (nq,); the middle of the region by default.
+            speed: The largest speed of the target that is asked about [unit of the task/s]; by
+                default the largest that is certified, up to that of a move that takes 1.5 s.
+
+        Raises:
+            InvalidInputError: A law without certificates, gravity that is learnt or not exact, a
+                latency with more than a period, a task that is no vector of positions, joints
+                without damping on a redundant arm, or arguments of the wrong shape.
+        """
+        loop, seed = self.loop(), self.seed
+        return certified_moves(loop, self.timing, seed, displacements, start, speed)
 
     def rollouts(
         self,

@@ -1,6 +1,5 @@
 """`Study`: a controller with possible errors, and all tests of its loop."""
 
-from approxjac.stability.search.certified_moves import certified_moves
 from approxjac.stability.search.map import stability_map
 from approxjac.stability.search.suggested_gains import suggested_gains
 from approxjac.stability.search.tolerance import tolerances
@@ -42,4 +41,3 @@ class Study(StudiedLoop):
     tolerance = tolerances
     map = stability_map
     gains = suggested_gains
-    moves = certified_moves

@@ -22,9 +22,9 @@ from approxjac.stability.certificates.certificate import (
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import EXACT_GRAVITY, SHARED, ClosedLoop
 from approxjac.stability.loop.samples import Samples
+from approxjac.stability.report.move_bounds import Moves
 from approxjac.stability.rollouts.rollouts import Rollouts
 from approxjac.stability.rows import Row, about_timing, as_json, as_text, ms
-from approxjac.stability.search.certified_moves import Moves
 from approxjac.stability.search.worst import ROUNDS, Growth, fastest_growth, searched_test
 from approxjac.validation import Array
 

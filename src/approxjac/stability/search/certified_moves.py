@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from approxjac import law
 from approxjac.controllers.gains.gains import Latency
 from approxjac.errors import InvalidInputError
-from approxjac.formatting import display_unit, joined, numbers
+from approxjac.formatting import joined
 from approxjac.law import moves
 from approxjac.robots import Robot
 from approxjac.robots.traced import moved, positions_at
@@ -34,12 +33,9 @@ from approxjac.stability.certificates.moves import (
 from approxjac.stability.errors.uncertainty import Uncertainty
 from approxjac.stability.loop.closed_loop import ClosedLoop
 from approxjac.stability.loop.samples import Indices, Samples
-from approxjac.stability.rows import Row
+from approxjac.stability.report.move_bounds import Move, Moves
 from approxjac.stability.search.worst import climb
 from approxjac.validation import Array, as_array, as_number
-
-if TYPE_CHECKING:
-    from approxjac.stability.studied_loop import StudiedLoop
 
 _NODES = 4  # steps of Runge and Kutta along a path
 _NEWTON = 2  # to a given error
@@ -58,151 +54,22 @@ _SHORTEST = 1.5  # s, of a move as fast as any that is tried
 _SLOWER, _SPEEDS = 0.85, 16  # from one to the next
 _TRIED = 6  # with a search, from the fastest that samples allow
 _USUAL, _HALF = 0.2, 0.5  # m; c̄
-_PROMISE = (
-    "for every robot of the box, from rest; nothing is assumed about staying; certified (a search "
-    "found nothing against it), not proven"
-)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Move:
-    """A move along a line, eased from rest to rest, that every robot of the box makes as promised.
-
-    At rest with the target at its tip, each stays within these bounds while the target moves with
-    its feed-forward, and afterwards: nothing is assumed about staying in a region. Certified: a
-    search over robots, places and errors found nothing against it. Not proven.
-
-    Attributes:
-        displacement: Of the target, shape (m,) [unit of the task].
-        speed: Largest speed of the target [unit of the task/s]; 0 if none is certified.
-        duration: Of the move at this speed [s]; infinite at 0.
-        error: Bound of ‖e‖ [unit of the task].
-        deviation: Bounds of the distance of each joint from the path that its robot takes if it
-            moves slowly, shape (n_v,) [rad or m].
-        rate: ρ: after the end the bound of ‖e‖ falls as exp(−ρt) [1/s].
-        reason: Why no speed is certified; "" if one is.
-        labels: Names of the task's coordinates.
-        units: Units of the task's coordinates, and of the joints.
-    """
-
-    displacement: Array
-    speed: float
-    duration: float
-    error: float
-    deviation: Array
-    rate: float
-    reason: str
-    labels: tuple[str, ...]
-    units: tuple[tuple[str, ...], tuple[str, ...]]
-
-    @property
-    def way(self) -> str:
-        """The direction, such as "+x"."""
-        (moving,) = np.nonzero(self.displacement)
-        if len(moving) > 1:
-            return numbers(self.displacement)
-        return f"{'+-'[int(self.displacement[moving[0]] < 0.0)]}{self.labels[moving[0]]}"
-
-    @property
-    def length(self) -> str:
-        """The length with its unit, such as "20 cm"."""
-        unit, length = joined(self.units[0]), float(np.linalg.norm(self.displacement))
-        return f"{100.0 * length:.3g} cm" if unit == "m" else f"{length:.3g} {unit}"
-
-    @property
-    def bounds(self) -> str:
-        """The bounds as text."""
-        unit = joined(self.units[0])
-        shown, factor = display_unit(unit)
-        joints, away = self.units[1], []
-        for each in dict.fromkeys(joints):
-            most = max(d for d, u in zip(self.deviation, joints, strict=True) if u == each)
-            away.append(f"{most:.2g} {each}")
-        return (
-            f"at up to {self.speed:.2g} {unit}/s ({self.duration:.2g} s): "
-            f"|e| <= {factor * self.error:.2g} {shown}, joints within {' and '.join(away)} of "
-            "their path"
-        )
-
-    def __str__(self) -> str:
-        bounds = f": no speed is certified, {self.reason}" if self.reason else f" {self.bounds}"
-        return f"{self.length} along {self.way}{bounds}"
-
-    def __repr__(self) -> str:
-        return f"Move({self})"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Moves:
-    """Moves from one configuration.
-
-    Attributes:
-        start: The configuration, shape (nq,).
-        moves: One for each displacement.
-    """
-
-    start: Array
-    moves: tuple[Move, ...]
-
-    def __str__(self) -> str:
-        lines = [str(move) for move in self.moves]
-        if any(not move.reason for move in self.moves):
-            lines.append(_PROMISE)
-        return "\n".join(lines)
-
-    def __repr__(self) -> str:
-        return f"Moves({'; '.join(map(str, self.moves))})"
-
-    @property
-    def rows(self) -> list[Row]:
-        """The moves as rows of a report: all in a sentence, and one for each direction."""
-        speeds: dict[str, list[str]] = {}
-        for move in sorted(self.moves, key=lambda each: -each.speed):
-            unit = joined(move.units[0])
-            speed = "at no certified speed" if move.reason else f"at {move.speed:.2g} {unit}/s"
-            speeds.setdefault(speed, []).append(move.way)
-        each = "; ".join(f"{', '.join(ways)} {speed}" for speed, ways in speeds.items())
-        text = f"Moves of {self.moves[0].length} from rest in the middle of the region: {each}"
-        if good := [move for move in self.moves if not move.reason]:
-            error, joints = max(m.error for m in good), np.max([m.deviation for m in good], axis=0)
-            bounds = replace(good[0], error=error, deviation=joints).bounds.split(": ")[1]
-            text += f". Every robot of the box keeps {bounds}, whatever the region"
-        done = {move.way: move.speed for move in self.moves}
-        rows = [Row("verdict", "moves", "", {"speeds": done}, f"{text}.")]
-        names = ("speed", "duration", "error", "deviation", "rate", "reason")
-        for move in self.moves:
-            figures = {name: getattr(move, name) for name in names}
-            said = ("none", move.reason) if move.reason else ("certified", move.bounds)
-            rows.append(Row("moves", move.way, said[0], figures, said[1]))
-        return rows
-
-
-def certified_moves(  # noqa: D417  # study is self
-    study: StudiedLoop,
-    displacements: Sequence[Sequence[float]] | Array | None = None,
-    *,
-    start: Sequence[float] | Array | None = None,
-    speed: float | None = None,
+def certified_moves(
+    loop: ClosedLoop,
+    latency: Latency,
+    seed: int,
+    displacements: Sequence[Sequence[float]] | Array | None,
+    start: Sequence[float] | Array | None,
+    speed: float | None,
 ) -> Moves:
-    """Find the largest speeds of the target along lines, with bounds of ‖e‖ and of the joints.
-
-    The target begins at the measured tip of an arm at rest and is eased along each line, as by
-    `paths.Line` or by `control`. Every robot of the box then stays within the bounds. The loop is
-    sampled with the period of its latency. Torque limits are not looked at.
-
-    Args:
-        displacements: Of the target, shape (k, m) or (m,) [unit of the task]; by default 20 cm
-            along each axis of a position, to both sides.
-        start: Configuration at rest, shape (nq,); the middle of the region by default.
-        speed: The largest speed of the target that is asked about [unit of the task/s]; by default
-            the largest that is certified, up to that of a move that takes 1.5 s.
+    """Find what `Study.moves` returns.
 
     Raises:
-        InvalidInputError: A law without certificates, gravity that is learnt or not exact, a
-            latency with more than a period, a task that is no vector of positions, joints without
-            damping on a redundant arm, or arguments of the wrong shape.
+        InvalidInputError: The errors of `Study.moves`.
     """
-    loop, period = _covered(study)
+    _require_covered(loop, latency)
     task, robot = loop.controller.task, loop.region.robot
     if displacements is None:
         if set(task.units) != {"m"}:
@@ -221,7 +88,7 @@ def certified_moves(  # noqa: D417  # study is self
         speed = as_number("speed", speed, above=0.0)
     found: list[Move] = []
     for way, length in zip(ways, lengths.tolist(), strict=True):
-        search = MoveSearch(loop, period, q0, np.random.default_rng([study.seed, len(found)]))
+        search = MoveSearch(loop, latency.period, q0, np.random.default_rng([seed, len(found)]))
         line = EasedLine(way / length, length, speed or 1.875 * length / _SHORTEST)
         fast, tube = (
             search.fastest(line) if speed is None else (speed, search.certified(line, True))
@@ -237,9 +104,8 @@ def certified_moves(  # noqa: D417  # study is self
     return Moves(q0, tuple(found))
 
 
-def _covered(study: StudiedLoop) -> tuple[ClosedLoop, float]:
-    """Return the loop and its period, of what the theorem covers."""
-    loop, latency = study.loop(), study.timing
+def _require_covered(loop: ClosedLoop, latency: Latency) -> None:
+    """Require what the theorem covers."""
     controller, sensor, setting = loop.controller, loop.plants[0].sensor, loop.setting
     task, B = controller.task, setting.B
     is_vector = sensor.subtracts and task.n_x == task.m and task.measured is task
@@ -275,7 +141,6 @@ def _covered(study: StudiedLoop) -> tuple[ClosedLoop, float]:
         if not is_covered:
             raise InvalidInputError(f"{wanted}, got {given!r}", given=given)
     loop.require_gravity()
-    return loop, period
 
 
 class TubeBox:
