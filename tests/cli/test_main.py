@@ -57,7 +57,7 @@ def test_the_list_of_commands_has_a_line_each_and_their_own_help_has_all(capsys)
     assert "Test whether a controller is stable" in listed
     assert "Exit code 0" not in listed
     assert "Example: approxjac stability panda --object-length 0 0.3" in own
-    assert "Exit code 0 if the region is certified, 1 if not: of the sampled loop" in own
+    assert "Exit code 0 if moves or starts in the region are certified" in own
 
 
 @pytest.mark.parametrize("command", ["simulate", "stability"])

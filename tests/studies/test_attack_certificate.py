@@ -9,11 +9,11 @@ def test_what_contradicts_is_reported():
     fine = study.nothing("panda, PositionTask, setup 1")
     assert not fine.counterexamples()
     broken = fine._replace(
-        latency=study.Latency(), growth=np.array([1.01]), rises=[1e-3], uneven=[1e-3], drifts=[2.0],
+        latency=study.Latency(), growth=np.array([1.01]), rises=[1e-3], uneven=[1e-3],
         diverged=1, left=2,
     )  # fmt: skip
-    assert len(broken.counterexamples()) == 6
-    assert "Counterexamples: 6." in study.table([fine, broken])
+    assert len(broken.counterexamples()) == 5
+    assert "Counterexamples: 5." in study.table([fine, broken])
 
 
 @pytest.mark.long
@@ -28,5 +28,4 @@ def test_nothing_contradicts_the_certificates_of_other_setups(monkeypatch, numbe
     assert sum(o.latency is not None for o in outcomes) >= 5 * share
     assert not [text for o in outcomes for text in o.counterexamples()]
     assert sum(len(o.uneven) for o in outcomes) >= 10 * share
-    assert sum(len(o.drifts) for o in outcomes) >= 5 * share
     assert "Counterexamples: 0." in study.table(outcomes)

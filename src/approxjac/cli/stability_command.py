@@ -14,9 +14,9 @@ def stability(scenario: Scenario, jobs: int = 1, out: Path = Path("results/stabi
 
     Example: approxjac stability panda --object-length 0 0.3 --around 0 -0.5 0 -2 0 1.6 0.7
 
-    Exit code 0 if something is certified, moves or starts in the region, and nothing refuted; 1 if
-    not: of the sampled loop with its delays as the scenario says; or in continuous time where
-    gravity is learnt, as there it has to do.
+    Exit code 0 if moves or starts in the region are certified, and nothing is refuted; 1 if not.
+    Certificates are of the sampled loop with its delays as the scenario says; where gravity is
+    learnt, of the loop in continuous time.
 
     Args:
         scenario: The scenario.
