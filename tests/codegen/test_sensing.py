@@ -246,11 +246,9 @@ def test_a_run_on_a_path_again():
 
 def test_what_is_refused(two_link):
     controller = aj.SetpointController(aj.PositionTask(two_link))
-    for options in (
-        {"servo": VelocityServo()}, {"torque_limits": 1.0}, {"adds_gravity": two_link},
-    ):  # fmt: skip
+    for options in ({"servo": VelocityServo()}, {"adds_gravity": two_link}):
         plant = aj.Plant(two_link, controller.task, **options)
-        with pytest.raises(aj.InvalidInputError, match="without a servo, torque_limits and"):
+        with pytest.raises(aj.InvalidInputError, match="without a servo and adds_gravity"):
             TracedLoop(Program(), controller, plant, None, None, 1e-3, "rk4")
     loop = test_lanes.study("ur5")
     with pytest.raises(aj.InvalidInputError, match="x_noise"):

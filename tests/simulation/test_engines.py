@@ -10,6 +10,7 @@ from own_controller import OwnController
 import approxjac as aj
 from approxjac.codegen import whole_run
 from approxjac.errors import InvalidInputError, SimulationError, UnknownNameError
+from approxjac.robots import Drives
 from approxjac.simulation import Computation, InitialState, Trajectory
 
 
@@ -94,6 +95,23 @@ def test_what_was_changed_is_traced_again(loop):
     )
     np.testing.assert_allclose(second.q, expected.q, atol=1e-12)
     assert np.abs(second.q - first.q).max() > 1e-4
+
+
+@pytest.mark.parametrize("drives", [None, Drives(rotor_inertia=0.1, stiffness=200.0)])
+def test_motors_that_are_too_weak_are_compiled(loop, drives):
+    plant, law, target, q = loop
+    most = [0.9 * abs(plant.dynamics.g(q)[0]), np.inf]
+    weak = aj.Plant(plant.robot, plant.sensor, torque_limits=most, drives=drives)
+    python, ours = (
+        aj.simulate(weak, law, target, q, 0.3, computation=Computation(engine=engine))
+        for engine in ("python", "compiled")
+    )
+    assert (np.abs(python.tau[:, 0]) > most[0]).mean() > 0.2  # commands, which motors do not give
+    assert ours.engine == "machine code"
+    np.testing.assert_allclose(ours.q, python.q, atol=1e-10)
+    strong = aj.Plant(plant.robot, plant.sensor, drives=drives)
+    free = aj.simulate(strong, law, target, q, 0.3, computation=Computation(engine="compiled"))
+    assert np.abs(free.q - ours.q).max() > 1e-3
 
 
 def test_where_limits_do_without_the_proof_no_slack_is_known(loop):

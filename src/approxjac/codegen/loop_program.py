@@ -89,10 +89,10 @@ class TracedLoop:
         # sensors and motors as they really are; None is ideal
         sensing: TracedSensing | None = None,
     ) -> None:
-        more = (plant.servo, plant.torque_limits, plant.adds_gravity)
+        more = (plant.servo, plant.adds_gravity)
         if type(plant) is not Plant or any(part is not None for part in more):
             raise InvalidInputError(
-                "plant must be a Plant itself, without a servo, torque_limits and adds_gravity, to "
+                "plant must be a Plant itself, without a servo and adds_gravity, to "
                 f"make code of it, got {plant!r}",
                 given=plant,
             )
