@@ -431,6 +431,7 @@ def test_a_bad_place_of_a_real_panda_harms_no_other(panda):
     assert np.sqrt(np.mean([v**2 for k, v in held.items() if k != "high"])) < 0.40e-3
 
 
+@pytest.mark.study
 @needs_recordings
 def test_a_calibration_holds_on_another_day(panda):
     """Of the same arm with another tool: only that is fitted anew."""
@@ -447,6 +448,7 @@ def test_a_calibration_holds_on_another_day(panda):
     assert left["drawing"] > 5e-3
 
 
+@pytest.mark.study
 @needs_recordings
 @pytest.mark.parametrize("name", ["panda_3", "panda_6"])
 def test_sixteen_chosen_configurations_of_a_real_panda_suffice(panda, name):

@@ -145,7 +145,7 @@ def test_forgetting_ends_at_a_whole_prior():
     assert_allclose(law.forgotten(first, np.linalg.inv(first), 0.5), first, atol=1e-12)
 
 
-@pytest.mark.parametrize("turn", [0.0, 1.0])
+@pytest.mark.parametrize("turn", [0.0, pytest.param(1.0, marks=pytest.mark.study)])
 def test_sockets_then_a_tracker(turn):
     """Errors far from the motion are small at once, and become smaller; without they are not."""
     arm = Arm("panda", 71)
@@ -295,8 +295,9 @@ def test_wrong_priors_are_refused():
 # -- in laws ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [pytest.param(0.0, marks=pytest.mark.study), 1.0])
-@pytest.mark.parametrize("kind", [pytest.param("tracking", marks=pytest.mark.study), "set-point"])
+@pytest.mark.study
+@pytest.mark.parametrize("turn", [0.0, 1.0])
+@pytest.mark.parametrize("kind", ["tracking", "set-point"])
 def test_compiled_laws_learn_the_same_from_a_prior(kind, turn):
     belief, robot = belief_of(aj.load_robot("ur5"))
     arm, task = drawn_arm("ur5", 5, belief, turn), aj.PositionTask(robot)

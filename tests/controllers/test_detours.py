@@ -226,6 +226,7 @@ def test_what_it_is_not_for_is_refused():
         build_scenario(Scenario("so101", controller=given))
 
 
+@pytest.mark.study
 def test_a_simulation_takes_them():
     true = {"object": {"length": 0.1, "mass": 0.1}}
     run = {"start": "random", "duration": 3.0, "seed": 602}

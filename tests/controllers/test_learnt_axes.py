@@ -91,7 +91,7 @@ class Arm:
 @pytest.mark.parametrize(
     ("name", "seed", "turn"),
     [
-        ("z1", 11, 0.0), ("panda", 12, np.pi / 3),
+        ("z1", 11, 0.0), pytest.param("panda", 12, np.pi / 3, marks=pytest.mark.study),
         *(
             pytest.param(name, seed, turn, marks=pytest.mark.study)
             for name in ("ur10", "xarm7", "kinova", "tiago_arm", "baxter_left_arm")

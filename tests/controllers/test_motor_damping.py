@@ -433,6 +433,7 @@ class Later:
         return self.path.at(t + self.by)
 
 
+@pytest.mark.study
 def test_a_moving_arm_is_taken_over_on_its_path():
     """An eased target begins with the arm's velocity: one that began at rest is 15 mm off."""
     arm = aj.load_robot("panda")

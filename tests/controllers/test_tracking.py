@@ -519,14 +519,14 @@ def test_velocity_commands_stay_within_limits(panda):
     assert answer.torque[3] >= -5e-3 - 1e-12  # towards a stop that is 1 mrad away
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "filtered", "late"),
     [
         ("z1", 2e-3, 5e-3),
-        *(
-            pytest.param(*case, marks=pytest.mark.study)
-            for case in (("panda", 5e-3, 2e-3), ("ur10", 2e-3, 5e-3), ("xarm7", 8e-3, 1e-3))
-        ),
+        ("panda", 5e-3, 2e-3),
+        ("ur10", 2e-3, 5e-3),
+        ("xarm7", 8e-3, 1e-3),
     ],
 )
 def test_a_lag_of_rigid_joints_slows_what_is_learnt(name, filtered, late):

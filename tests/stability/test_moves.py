@@ -162,6 +162,7 @@ def test_what_the_theorem_does_not_cover_is_refused_with_what_would_be():
         study.moves([0.0, 0.0, 0.0])
 
 
+@pytest.mark.study
 def test_a_search_finds_worse_than_samples_and_the_answer_has_it():
     study = study_of("two_link", object_length=(0.0, 0.1), believed_length=0.05)
     search = MoveSearch(study.loop(), 1e-3, np.array(STARTS["two_link"]), np.random.default_rng(0))
