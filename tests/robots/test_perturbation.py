@@ -48,7 +48,8 @@ def drawn(arm, rng, held=(0.1, 0.2), axis=None, joints=None):
     joints = joints_of(arm, rng) if joints is None else joints
     perturbation = Perturbation(arm, held, axis, joints)
     shifts, rotations = rng.normal(scale=0.1, size=(2, len(joints), 3))
-    return perturbation.robot(0.27, 0.6, shifts, rotations)
+    turns = np.array([*map(pin.exp3, rotations)]).reshape(-1, 3, 3)
+    return perturbation.robot(0.27, 0.6, shifts, turns)
 
 
 @pytest.mark.parametrize("held", [None, (0.0, 0.0), (0.1, 0.2)])
@@ -116,7 +117,7 @@ def test_a_singular_inertia_matrix_is_refused():
       <axis xyz="0 1 0"/></joint><joint name="f" type="fixed"><parent link="arm"/>
       <child link="mass"/><origin xyz="0.5 0 0"/></joint></robot>"""
     perturbation = Perturbation(aj.Robot(point), joints=["f"])
-    none = np.zeros((1, 3))
+    none = np.eye(3)[np.newaxis]
     assert perturbation.robot(0.0, 0.0, np.array([[0.1, 0.0, 0.0]]), none).nv == 1
     with pytest.raises(UrdfError, match="nothing with inertia is moved by joint 'j'"):
         perturbation.robot(0.0, 0.0, np.array([[-0.5, 0.0, 0.0]]), none)

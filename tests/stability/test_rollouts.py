@@ -389,7 +389,7 @@ def test_failures_are_counted_over_portions_with_several(failures):
     class Setting:
         engine = "lanes"
 
-        def columns(self, indices):
+        def columns(self, indices, drawn=None):
             each = {name: np.array(indices, dtype=float) for name in COLUMNS}
             return each | {"converged": passed[list(indices)]}
 
@@ -438,3 +438,17 @@ def test_the_last_instant_counts_beside_every_second_one(controller, uncertainty
     run = found.replay(1)
     assert run.t[-1] == pytest.approx(0.803)
     assert found.runs[1].final_error == pytest.approx(run.error_norm[-1], rel=1e-9)
+
+
+def test_points_of_a_map_share_their_starts(controller, uncertainty, monkeypatch):
+    """Each has the runs of a study of its own, also beyond what is kept at once."""
+    monkeypatch.setattr("approxjac.stability.rollouts.rollouts._SHARED", 4)
+    of = aj.Study(controller, uncertainty, duration=0.3, seed=3)
+    (_, kv, damping), run = controller.diagonals, Execution(engine="lanes")
+    for (scale, a), many in of.map(
+        {"error": [0.5, 1.0], "a": [2.0, 5.0]}, 6, execution=run
+    ).points.items():
+        law = controller.with_gains(aj.Gains(a * kv, kv, damping))
+        own = dataclasses.replace(of, controller=law, uncertainty=uncertainty.scaled(scale))
+        for name, column in own.rollouts(6, execution=run).columns.items():
+            assert_allclose(many.columns[name], column, rtol=1e-6, atol=1e-12)

@@ -64,19 +64,19 @@ class Perturbation(Immutable):
     def __deepcopy__(self, memo: dict[int, Any]) -> Perturbation:
         return self  # it never changes
 
-    def robot(self, length: float, mass: float, shifts: Array, rotations: Array) -> Robot:
+    def robot(self, length: float, mass: float, shifts: Array, turns: Array) -> Robot:
         """Return a perturbed robot; raise a UrdfError if its inertia matrix would be singular.
 
         Args:
             length: Length of the object, if there is one, 0 to 10 [m].
             mass: Its mass, ≥ 0 [kg].
             shifts: Shifts of the k joint origins in the parent links' frames, shape (k, 3) [m].
-            rotations: Rotation vectors in the joints' own frames, shape (k, 3) [rad].
+            turns: Rotations in the joints' own frames, shape (k, 3, 3).
         """
         if self._made_of[1] is not None:
             as_size("length", length)
             as_size("mass", mass, "kg")
-        values = (length, mass, shifts, rotations)
+        values = (length, mass, shifts, turns)
         robot = PerturbedRobot.like(self.base, _outward=self._outward)
         robot._made_by = self, values
         robot.__dict__.pop("tree", None)  # that of `base`
@@ -106,13 +106,13 @@ class PerturbedRobot(Robot):
     @functools.cached_property
     def tree(self) -> Urdf:  # type: ignore[override]
         """The URDF as a tree. Read-only."""
-        perturbation, (length, mass, *errors) = self._made_by
+        perturbation, (length, mass, shift, turn) = self._made_by
         robot, held, axis, joints = perturbation._made_of
         if held is not None:
             robot = robot.with_object(length, mass, axis=axis)
         shifts, turns = (
             {joint: error for joint, error in zip(joints, each, strict=True) if error.any()}
-            for each in errors
+            for each in (shift, np.array([*map(pin.log3, turn)]))
         )
         return (robot.with_kinematic_error(shifts, turns) if shifts or turns else robot).tree
 
@@ -164,11 +164,11 @@ class _Parts:
                 self._bodies[k] = frame.inertia.toDynamicParameters()
 
     def change(
-        self, model: pin.Model, length: float, mass: float, shifts: Array, rotations: Array
+        self, model: pin.Model, length: float, mass: float, shifts: Array, turns: Array
     ) -> None:
         """Change a copy of the model, with the errors that `Perturbation.robot` takes."""
-        turns = rotations_of(rotations[np.newaxis])
-        new = self.changes(np.array([length]), np.array([mass]), shifts[np.newaxis], turns)
+        errors = shifts[np.newaxis], turns[np.newaxis]
+        new = self.changes(np.array([length]), np.array([mass]), *errors)
         if new.held is not None:
             model.frames[self._object].inertia = _inertia(new.held[0])
         for k, (R, t) in new.frames.items():
@@ -207,6 +207,8 @@ class _Parts:
 
 def rotations_of(vectors: Array) -> Array:
     """Return the rotation matrices (…, 3, 3) of rotation vectors (…, 3) [rad]."""
+    if not vectors.any():
+        return np.zeros((*vectors.shape, 3)) + np.eye(3)
     angles = np.linalg.norm(vectors, axis=-1)[..., np.newaxis, np.newaxis]
     K = np.cross(np.eye(3), vectors[..., np.newaxis, :])  # K u is v × u
     # (1 − cos a)/a² as ½(sin ½a / ½a)²

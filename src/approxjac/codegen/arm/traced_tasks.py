@@ -65,10 +65,12 @@ def may_lose(task: Task) -> bool:
     return bool(_cameras(task)) or type(task).visible is not Task.visible
 
 
-def _cameras(of: Task) -> list[Camera]:
-    cameras: dict[int, Camera] = {}
-    _replaced(of, lambda camera: cameras.setdefault(id(camera), camera))
-    return [*cameras.values()]
+def _cameras(of: Any) -> list[Camera]:
+    if isinstance(of, Camera):
+        return [of]
+    parts = [*vars(of).values()] if isinstance(of, Task) else of
+    each = map(_cameras, parts) if isinstance(parts, list | tuple) else ()
+    return [*{id(camera): camera for found in each for camera in found}.values()]
 
 
 def numbers(sensors: Sequence[Task]) -> dict[str, Array]:

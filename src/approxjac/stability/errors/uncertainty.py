@@ -423,8 +423,7 @@ class Uncertainty:
         if all(at[known.name] == known.believed for known in own):
             return self.belief()
         length, mass, shifts, turns = self._differences(values[np.newaxis])
-        rotations = np.array([*map(pin.log3, turns[0])]).reshape(-1, 3)
-        return self._perturbation.robot(float(length[0]), float(mass[0]), shifts[0], rotations)
+        return self._perturbation.robot(float(length[0]), float(mass[0]), shifts[0], turns[0])
 
     def differences(
         self, values: Sequence[float] | Array

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -22,6 +22,7 @@ _BEYOND = 1.0 + 1e-6  # of a limit
 _CHUNKS = 64  # that runs are handed to an executor in, at least
 _PORTION = 1024  # runs in lanes at once, at most
 _VECTOR = 8  # runs that lanes take at once, at least
+_SHARED = 256  # starts that settings share, whose robots are kept meanwhile
 
 Engine = Literal["lanes", "python"]
 
@@ -187,7 +188,7 @@ def carried_out(
     execution: Execution,
     tell: Callable[[float], None],
 ) -> list[dict[str, Array]]:
-    """Return the columns of the runs of some settings.
+    """Return the columns of the runs of some settings, which differ in gains or scale at most.
 
     Each setting stops after `failures` runs that do not converge, if that is given.
     """
@@ -197,10 +198,13 @@ def carried_out(
     for k, setting in enumerate(settings):
         if setting.engine == "lanes":
             whole_ones = executor is None and failures is None
-            size = _PORTION if whole_ones else min(max(_VECTOR, shared), _PORTION)
+            most = _PORTION if len(settings) == 1 else _SHARED
+            size = most if whole_ones else min(max(_VECTOR, shared), most)
         else:
             size = 1 if executor is None else min(shared, _PORTION)
         pieces += [(k, range(runs)[at : at + size]) for at in range(0, runs, size)]
+    pieces.sort(key=lambda piece: piece[1].start)
+    drawn: tuple[Any, ...] = (None, None, None)
     if isinstance(executor, ProcessPoolExecutor):  # others may pickle more
         try:
             pickle.dumps(settings)
@@ -217,7 +221,11 @@ def carried_out(
         done = 0
         for i, (k, indices) in enumerate(pieces):
             if left[k] > 0:
-                columns = futures[i].result() if futures else settings[k].columns(indices)
+                if not futures and len(settings) > 1:
+                    of = settings[k].uncertainty
+                    if drawn[:2] != (of, indices):
+                        drawn = of, indices, [*map(settings[k].start, indices)]
+                columns = futures[i].result() if futures else settings[k].columns(indices, drawn[2])
                 failed = np.cumsum(np.logical_not(columns["converged"]))
                 kept = np.searchsorted(failed, left[k]) + 1  # with the last failure
                 parts[k].append({name: column[:kept] for name, column in columns.items()})

@@ -182,13 +182,15 @@ class RolloutSetting:
             0.0,
         )
 
-    def columns(self, indices: range) -> dict[str, Array]:
-        """Return some runs, as columns; in lanes if they are its engine."""
+    def columns(self, indices: range, drawn: Sequence[Start] | None = None) -> dict[str, Array]:
+        """Return some runs, as columns; in lanes if they are its engine.
+
+        Their starts may be given, as `drawn` for another setting with the same errors.
+        """
         lanes = _lanes_of(self) if self.engine == "lanes" else None
         starts, ran = [], list[Any]()
-        for index in indices:
-            start = self.start(index)
-            starts.append((index, start.values, start.q, start.target))
+        for start in map(self.start, indices) if drawn is None else drawn:
+            starts.append((start.index, start.values, start.q, start.target))
             begun = None if lanes is None else start.lane_start(self.controller, lanes.frames)
             ran.append(begun or self._outcome(start))
         last = lanes.run(ran, self.every) if lanes else dict(zip(OUTCOME, np.array(ran).T))  # noqa: B905
