@@ -28,9 +28,19 @@ def watched(commands, q=lambda k: Q, reference=None, accuracy=None, velocity=Fal
 def test_a_joint_may_stand_still_under_a_torque(reference):
     """However far it is led: but not under one that friction cannot hold."""
     assert watched(np.tile(HELD, (300, 1)), reference=reference) is None
-    rising = np.outer(np.linspace(0.0, 1.0, 300), 0.13 * np.array([87.0] * 4 + [12.0] * 3))
+    rising = np.outer(np.linspace(0.0, 1.0, 300), 0.15 * np.array([87.0] * 4 + [12.0] * 3))
     assert watched(0.7 * rising, reference=reference) is None
     assert watched(rising, reference=reference) is Fault.COMMAND_UNANSWERED
+
+
+@pytest.mark.parametrize("carried", [0.0, 20.0])
+def test_by_default_it_may_stick_as_usual_joints_do(carried):
+    """Pushed from one side of what usual friction holds to the other, beside what it carries."""
+    usual = aj.robots.Friction.usual(aj.load_robot("panda"))
+    most = usual.stribeck * usual.coulomb + usual.load * carried
+    for share, fault in ((0.95, None), (1.4, Fault.COMMAND_UNANSWERED)):
+        command = carried + np.outer(np.linspace(-share, share, 400), most)
+        assert watched(command, gravity=True) is fault
 
 
 def test_a_joint_that_is_sent_a_velocity_moves():

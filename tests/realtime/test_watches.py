@@ -142,7 +142,7 @@ def test_a_joint_that_does_not_answer_its_torque_is_found():
     for side in (1.0, -1.0):
         fault, t = watched(stands, sent=lambda t: min(t, 0.2) * pushed, side=side)
         assert fault is Fault.COMMAND_UNANSWERED
-        assert 0.09 < t < 0.12  # a tenth of its largest torque
+        assert 0.12 < t < 0.145  # 12 % of its largest torque, and of what it is asked for
 
 
 def test_speed_that_grows_and_grows_is_found():
@@ -557,7 +557,7 @@ def test_at_125_hz_a_joint_that_stands_is_found_in_as_many_milliseconds():
         dt=8e-3, accuracy=Accuracy(q=1e-5, v=0.02), sent=lambda t: min(t, 0.2) * pushed,
     )  # fmt: skip
     assert fault is Fault.COMMAND_UNANSWERED
-    assert t < 0.13
+    assert t < 0.15
 
 
 # -- each joint, each direction, another arm and another period ------------------------------------

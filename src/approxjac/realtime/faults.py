@@ -78,8 +78,8 @@ class Accuracy:
         x: Standard deviation of x, a number or (m,) [unit of the task]; 2 mm, 2 mrad and 1 px by
             default.
         x_period: Longest time between new values of x while none is lost [s].
-        stiction: Torque within which a joint may stick, a number or (n_v,) [N m or N]; 5 % of
-            its effort limit by default.
+        stiction: Torque within which a joint may stick, a number or (n_v,) [N m or N]; by default
+            that of `Friction.usual`, 6 % of its effort limit and of its torque.
         tool: Largest error of the believed tip position on its link [m].
         jacobian: Further error of Ĵ, as a share of it.
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 from approxjac.controllers.guard import usual_accelerations
 from approxjac.interface import Measurement
 from approxjac.realtime.faults import Accuracy, Fault
-from approxjac.robots import Dynamics, Robot
+from approxjac.robots import Dynamics, Friction, Robot
 from approxjac.tasks import Task
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
@@ -81,8 +81,11 @@ class FaultWatch:
         # a command that a joint at rest must answer: a change of torque beside gravity, or a way
         self._commands_velocity = commands_velocity
         self._dynamics = None if commands_velocity or adds_gravity else Dynamics(robot)
-        usual = accuracy.stiction is None
-        stiction = 0.05 * robot.effort_limits if usual else np.asarray(accuracy.stiction, float)
+        usual, stated = Friction.usual(robot), accuracy.stiction
+        self._by_load = 2.0 * np.asarray(usual.load) if stated is None else np.zeros(n)
+        stiction = (
+            usual.stribeck * np.asarray(usual.coulomb) if stated is None else np.asarray(stated)
+        )
         self._answered = np.full(n, np.inf) if commands_velocity else 2.0 * stiction
         self._way, self._stood = np.zeros((2, n))
         coarse = np.maximum(1.0, sd / _FINE)  # a slow joint takes long from step to step
@@ -216,7 +219,8 @@ class FaultWatch:
         self._way = np.where(same, self._way + self._dt * self._command, 0.0)
         self._held_by = np.where(self._stood > self._settles, self._held_by, self._push)
         led, pushed = np.abs(self._way), np.abs(self._push - self._held_by)
-        unanswered = (led > self._most_led) | (pushed > self._answered)
+        answered = self._answered + self._by_load * np.abs(self._command)
+        unanswered = (led > self._most_led) | (pushed > answered)
         unanswered &= self._stood >= self._stands
         if not unanswered.any():
             return None
