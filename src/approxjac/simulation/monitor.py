@@ -346,17 +346,18 @@ class Monitor:
 
     def _tick(self, t: float, h: float, q: Array) -> None:
         """Compare the observed torque with what is expected; h is the time since the last look."""
-        H, variance, J, load = self._expected(q)
+        H, variance, stuck, J, load = self._expected(q)
         _diagonal(self._P)[:] += h * self._drift
         PH = self._P @ H.T
         S = H @ PH
-        _diagonal(S)[:] += variance
+        _diagonal(S)[:] += variance + stuck**2
         off = self._residual - H @ self._estimate
         likely = self._likely(H, off)
-        spread = np.einsum("ij,jk,ik->i", likely, self._P, likely) + variance
+        spread = np.einsum("ij,jk,ik->i", likely, self._P, likely) + variance + stuck**2
         chi = float((off**2 / spread).max()) if t - self._begun > _BEGINS else 0.0
         is_off = chi > _SURE
-        tick = _Tick(off, 1.0 / np.sqrt(spread), self._smooth_torque, J, load, likely, variance)
+        weight = 1.0 / np.sqrt(spread)
+        tick = _Tick(off, weight, self._smooth_torque, J, load, likely, variance, stuck)
         self._lately = [*self._lately[-_TESTED:], tick] if chi > _LIKELY else []
         if not self._lately:
             self._coasts, self._swept = self._smooth_v, np.zeros(len(off))
@@ -381,7 +382,7 @@ class Monitor:
         if lasts:
             _diagonal(self._P)[:] += _OPENS * self._drift
         if lasts or not self._window:
-            _diagonal(S)[:] += (_LIKE - 1.0) * variance
+            _diagonal(S)[:] += (_LIKE - 1.0) * (variance + stuck**2)
             gain = np.linalg.solve(S, PH.T).T
             self._estimate = self._estimate + gain @ off
             P = self._P - gain @ PH.T
@@ -408,20 +409,22 @@ class Monitor:
 
     def _whitened(self, ticks: list[_Tick]) -> tuple[Array, ...]:
         """Return off, torque, J and load of looks as multiples of what else may explain them."""
-        off, _, torque, J, load, likely, variance = map(np.array, zip(*ticks, strict=True))
+        off, _, torque, J, load, likely, variance, stuck = map(np.array, zip(*ticks, strict=True))
         J = np.concatenate([J, np.swapaxes(load, 1, 2)], axis=1)
         C = np.einsum("tij,jk,sik->its", likely, self._P, likely)
         C += np.einsum("ti,ts->its", variance, np.eye(len(ticks)))
+        C += np.einsum("ti,si->its", stuck, stuck)  # what holds a joint lasts
         W = np.linalg.inv(np.linalg.cholesky(C))  # (n, t, t)
         J = np.einsum("its,ski->tki", W, J)
         return *(np.einsum("its,si->ti", W, each) for each in (off, torque)), J[:, :3], J[:, 3:]
 
-    def _expected(self, q: Array) -> tuple[Array, Array, Array, Array]:
+    def _expected(self, q: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Return the expected unexplained torque as a linear model.
 
         Its parts: the derivative by the filter's numbers (load; of each joint, constant error, dry
         and viscous friction, rotor, friction by load; n_v, 4 + 5 n_v), the variance of the rest
-        (n_v,), J of the tip (3, n_v), and the derivative by the load (n_v, 4).
+        (n_v,), the standard deviation of what holds joints that stand (n_v,), J of the tip
+        (3, n_v), and the derivative by the load (n_v, 4).
         """
         n, v, rate = len(self._residual), self._smooth_v, 1.0 / _FILTER
         J, R, _ = self._tip.motion(q)
@@ -443,9 +446,9 @@ class Monitor:
         variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
         variance += (_LAGS * self._shakes) ** 2
         friction = np.einsum("ij,jk,ik->i", rubs, self._P, rubs) + (rubs @ self._estimate) ** 2
-        variance += (_STICKS * (1.0 - np.abs(slides))) ** 2 * friction  # of a joint that stands
+        stuck = _STICKS * (1.0 - np.abs(slides)) * np.sqrt(friction)
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
-        return H, np.where(at_stop, variance + self._scale**2, variance), J[:3], load
+        return H, np.where(at_stop, variance + self._scale**2, variance), stuck, J[:3], load
 
     def _name(self, t: float) -> None:
         """Name the cause that explains the last looks, if one does."""
@@ -548,13 +551,13 @@ class Monitor:
         """Return the torques that nothing explains, on the average over the last k samples."""
         samples = list(self._samples)[-1 - k :]
         times, (_, q0, v0, _), (_, q, v, _) = [each[0] for each in samples], samples[0], samples[-1]
-        H, variance, J, load = self._expected(q)
+        H, variance, stuck, J, load = self._expected(q)
         steps, h = np.diff(times), times[-1] - times[0]
         given = steps @ np.array([each[3] for each in samples[1:]]) / h
         gained = (self._M @ v - self._dynamics.M(q0) @ v0) / h - given
         off = gained - 0.5 * (self._rest(q, v) + self._rest(q0, v0)) - H @ self._estimate
         variance = variance + 2.0 / h**2 * self._M**2 @ self._noise
-        return _Tick(off, 1.0 / np.sqrt(variance), given, J, load, H, variance)
+        return _Tick(off, 1.0 / np.sqrt(variance + stuck**2), given, J, load, H, variance, stuck)
 
     def _lacks(self, j: int) -> float:
         """Return the share of its torque that a motor lacks, before the filter has settled."""
@@ -673,6 +676,7 @@ class _Tick(NamedTuple):
     load: Array
     likely: Array  # derivative by what is known of joints and load, as far as it explains this
     variance: Array  # of the rest
+    stuck: Array  # standard deviation of what holds joints that stand
 
 
 class _Swing:
