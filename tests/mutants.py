@@ -63,6 +63,17 @@ MUTANTS = [
         "a turned tool is taken for a moved one", "controllers/learning/positions.py",
         "np.zeros((n_p, 3)), self._l * axes", "np.zeros((n_p, 3)), -self._l * axes", DRIFT,
     ),
+    # -- what strangers' faults survived in: the fourth audit
+    (
+        "a move's bounds end where the move does", "stability/certificates/moves.py",
+        "whole(s**2) + s[-1] ** 2 / (2.0 * rho)", "whole(s**2)",
+        "tests/stability/test_moves.py",
+    ),
+    (
+        "a certificate of no start covers something", "stability/report/report.py",
+        "self.test.level <= 0.0)", "self.test.level < 0.0)",
+        "tests/stability/test_report.py",
+    ),
     # -- what strangers' faults survived in: the third audit
     (
         "the drift of the tip for that of a named frame", "controllers/limits/limits.py",

@@ -119,6 +119,26 @@ def test_v_and_the_energy_of_a_run_are_within_the_bounds_of_its_own_constants(sp
     assert np.abs(s).max() < np.abs(on.s).max()
 
 
+@pytest.mark.parametrize("rate", [0.7, 1.5])
+def test_what_is_left_at_the_end_of_a_move_counts_until_it_has_died_out(rate):
+    """∫s² over all time, of the product s n by Cauchy and Schwarz: after the end s ~ exp(−ρt)."""
+    study = study_of("two_link")
+    loop, line = study.loop(), EasedLine(np.array([0.6, 0.8]), 0.1, 0.1)
+    tube = Tube(np.full(2, 0.02), 0.004, 0.1)
+    box = TubeBox(loop, line, np.array(STARTS["two_link"]), tube)
+    samples, _ = box.samples(box.starts(30, np.random.default_rng(0)))
+    form = MovingForm(
+        samples, loop.setting, loop.plants[0].friction, Hold.of(study.timing), line, tube.nu
+    ).changed(decay=(rate, 0.52))
+    weights = best_weights(form, "free").weights
+    on = form.along(weights, tube, form.most | largest(form.weighed(weights)))
+    dt = line.duration / (len(on.s) - 1)
+    after = on.s[-1] * np.exp(-rate * np.arange(0.0, 10.0 / rate, dt))
+    moving, falling = np.trapezoid(on.s**2, dx=dt), np.trapezoid(after**2, dx=dt)
+    assert falling > 0.05 * moving
+    assert on.s_n**2 > 0.999 * on.energy * (moving + falling)
+
+
 def test_paths_and_errors_of_a_tube_are_those_asked_for():
     study = study_of("ur5")
     loop, line = study.loop(), EasedLine(np.array([0.0, 0.6, 0.8]), 0.15, 0.1)
