@@ -74,6 +74,24 @@ MUTANTS = [
         "self.test.level <= 0.0)", "self.test.level < 0.0)",
         "tests/stability/test_report.py",
     ),
+    (
+        "turns of what is controlled follow at any speed", "controllers/learning/estimator.py",
+        "            rate = np.minimum(rate, _EASED_TURN / ", "            _ = (_EASED_TURN / ",
+        "tests/controllers/test_adaptive_pose.py",
+    ),
+    (
+        "unknown rotors are the lightest", "controllers/gains/tuning.py",
+        "with_rotors(_ROTORS * least_rotors(robot))", "with_rotors(least_rotors(robot))",
+        "tests/controllers/test_tuning.py",
+    ),
+    (
+        "an oscillation is said to begin a period late", "simulation/monitor.py",
+        "max(self._begun - 2.0 * self.period, 0.0)", "max(self._begun - self.period, 0.0)", MONITOR,
+    ),
+    (
+        "an x that stands still may do so by all that a motion may be off", "realtime/watches.py",
+        "(way > self._noise + 0.5 * (besides", "(way > self._noise + 1.0 * (besides", WATCHES,
+    ),
     # -- what strangers' faults survived in: the third audit
     (
         "the drift of the tip for that of a named frame", "controllers/limits/limits.py",
