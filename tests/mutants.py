@@ -92,6 +92,16 @@ MUTANTS = [
         "an x that stands still may do so by all that a motion may be off", "realtime/watches.py",
         "(way > self._noise + 0.5 * (besides", "(way > self._noise + 1.0 * (besides", WATCHES,
     ),
+    (
+        "joints rest at once where a move ends", "stability/certificates/moves.py",
+        "root * math.sqrt(T) + math.sqrt(left / (2.0 * rho))", "root * math.sqrt(T)",
+        "tests/stability/test_moves.py",
+    ),
+    (
+        "what a held torque does while a target speeds up is left out",
+        "stability/certificates/moves.py",
+        '(slid + sizes["still"] * on.a)', "slid", "tests/stability/test_moves.py",
+    ),
     # -- what strangers' faults survived in: the third audit
     (
         "the drift of the tip for that of a named frame", "controllers/limits/limits.py",
