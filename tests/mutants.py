@@ -63,6 +63,45 @@ MUTANTS = [
         "a turned tool is taken for a moved one", "controllers/learning/positions.py",
         "np.zeros((n_p, 3)), self._l * axes", "np.zeros((n_p, 3)), -self._l * axes", DRIFT,
     ),
+    # -- what strangers' faults survived in: the fourth audit
+    (
+        "a move's bounds end where the move does", "stability/certificates/moves.py",
+        "whole(s**2) + s[-1] ** 2 / (2.0 * rho)", "whole(s**2)",
+        "tests/stability/test_moves.py",
+    ),
+    (
+        "a certificate of no start covers something", "stability/report/report.py",
+        "self.test.level <= 0.0)", "self.test.level < 0.0)",
+        "tests/stability/test_report.py",
+    ),
+    (
+        "turns of what is controlled follow at any speed", "controllers/learning/estimator.py",
+        "            rate = np.minimum(rate, _EASED_TURN / ", "            _ = (_EASED_TURN / ",
+        "tests/controllers/test_adaptive_pose.py",
+    ),
+    (
+        "unknown rotors are the lightest", "controllers/gains/tuning.py",
+        "with_rotors(_ROTORS * least_rotors(robot))", "with_rotors(least_rotors(robot))",
+        "tests/controllers/test_tuning.py",
+    ),
+    (
+        "an oscillation is said to begin a period late", "simulation/monitor.py",
+        "max(self._begun - 2.0 * self.period, 0.0)", "max(self._begun - self.period, 0.0)", MONITOR,
+    ),
+    (
+        "an x that stands still may do so by all that a motion may be off", "realtime/watches.py",
+        "(way > self._noise + 0.5 * (besides", "(way > self._noise + 1.0 * (besides", WATCHES,
+    ),
+    (
+        "joints rest at once where a move ends", "stability/certificates/moves.py",
+        "root * math.sqrt(T) + math.sqrt(left / (2.0 * rho))", "root * math.sqrt(T)",
+        "tests/stability/test_moves.py",
+    ),
+    (
+        "what a held torque does while a target speeds up is left out",
+        "stability/certificates/moves.py",
+        '(slid + sizes["still"] * on.a)', "slid", "tests/stability/test_moves.py",
+    ),
     # -- what strangers' faults survived in: the third audit
     (
         "the drift of the tip for that of a named frame", "controllers/limits/limits.py",

@@ -250,6 +250,19 @@ def test_estimates_move_as_is_said(turned_run, sensor):
     assert_allclose(z[3:], 0.0, atol=1e-4)
 
 
+@pytest.mark.parametrize(("off", "fastest"), [(2.5, 2.0 * np.pi), (0.1, 2.0)])
+def test_a_tool_that_is_learnt_to_be_turned_far_turns_once_a_second_at_most(
+    turned_run, sensor, off, fastest
+):
+    """What is controlled follows what is learnt, in 50 ms where that is near; x̂ does not jump."""
+    kinematics, run = turned_run
+    state, at, x = run.state.copy(), kinematics._at, sensor.value(run.q)
+    turned = rotation_exp(off * np.array([0.6, 0.0, 0.8])) @ state[at["T"]].reshape(3, 3)
+    state[at["T"]] = turned.ravel()
+    after = kinematics.step(state, aj.Measurement(9.0, run.q, np.zeros(7), x, 8.99), 1e-3)
+    assert_allclose(np.linalg.norm(after[at["T_spin"]]), fastest, rtol=0.1)
+
+
 # -- what was learnt ---------------------------------------------------------------------------
 
 

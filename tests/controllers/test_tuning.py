@@ -10,6 +10,7 @@ from scenarios import reach
 
 import approxjac as aj
 from approxjac.controllers import DifferentiatedVelocity, Latency, tuned
+from approxjac.controllers.gains.motors import least_rotors
 from approxjac.controllers.gains.sample_configurations import sample_configurations
 from approxjac.controllers.gains.tuning import Learning, _Arm, slow_rate, with_unknown_tool
 from approxjac.errors import InvalidInputError
@@ -164,6 +165,17 @@ def test_a_longer_tool_makes_learning_slower():
     ]
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] < shares[0]
+
+
+def test_where_rotors_are_not_known_joints_learn_as_with_three_times_the_least():
+    task, unknown = learning_of("ur5", SENSORS)
+    least, usual = least_rotors(task.robot), unknown.learning.joint_torque
+    lighter, same = (
+        learning_of("ur5", SENSORS, gains=unknown.gains, drives=Drives(times * least))[1].learning
+        for times in (1.0, 3.0)
+    )
+    assert_allclose(same.joint_torque, usual)
+    assert np.linalg.norm(lighter.joint_torque) > 1.2 * np.linalg.norm(usual)
 
 
 @pytest.mark.parametrize("payload", [(1.0,), (-1.0, 0.2), (1.0, 200.0), (np.nan, 0.1), "heavy"])

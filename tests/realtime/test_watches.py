@@ -894,6 +894,24 @@ def test_motions_may_be_off_by_a_share_of_the_way(dt, error):
     assert found <= {None, Fault.SENSOR_JUMPED, Fault.SENSOR_DISAGREES}
 
 
+@pytest.mark.parametrize(("jacobian", "tool", "is_found"), [
+    (1.2, 0.0, True), (2.2, 0.0, False), (0.0, 1.0, True), (0.0, 3.0, False),
+])  # fmt: skip
+def test_an_x_that_stands_still_may_do_so_by_half_of_what_a_motion_may_be_off(
+    jacobian, tool, is_found
+):
+    """As x is not moved at all, errors of Ĵ and of the tip would have to cancel all of the way."""
+    robot, q, _ = ARMS["ur5"]
+    task, rate = aj.PositionTask(robot), np.array([0.0, 0.6, 0.0, 0.0, 0.0, 0.0])
+    accuracy = Accuracy(x=1e-5, tool=tool, jacobian=jacobian)
+    watch, still = SensorWatch(task, DT, accuracy, np.full(3, 0.01), False), task.value(q)
+    found = set()
+    for t in DT * np.arange(400):
+        q_t = q + t * rate
+        found.add(watch.look(aj.Measurement(t, q_t, rate, still, t), task.value(q_t)))
+    assert found == ({None, Fault.SENSOR_FROZEN} if is_found else {None})
+
+
 def test_tolerances_are_in_the_units_of_the_task():
     usual = aj.realtime.Tolerances().for_task(aj.PoseTask(PANDA), 1e-3)
     np.testing.assert_array_equal(usual.max_error, [0.15] * 3 + [0.5] * 3)

@@ -337,7 +337,7 @@ def test_what_nobody_sees_is_an_oscillation_where_motors_shake(controller, size,
 def test_an_oscillation_began_when_the_joint_first_swung(controller, frequency):
     omega = 2.0 * np.pi * frequency
     (event,) = swinging(controller, lambda t: np.cos(omega * t) if t > 1.5 else 0.0)
-    assert event.begin == pytest.approx(1.5, abs=1.0 / frequency)
+    assert event.begin == pytest.approx(1.5, abs=0.5 / frequency)
     assert event.named > 1.5 + 2.0 / frequency
 
 

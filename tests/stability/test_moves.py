@@ -119,6 +119,46 @@ def test_v_and_the_energy_of_a_run_are_within_the_bounds_of_its_own_constants(sp
     assert np.abs(s).max() < np.abs(on.s).max()
 
 
+def bounds_along(name, rate):
+    """The form of an arm in a tube, its largest constants and what they bound."""
+    study, start = study_of(name, friction=0.3), np.array(STARTS[name])
+    d = np.array([0.6, 0.8, 0.0][: study.controller.task.m])
+    loop, line = study.loop(), EasedLine(d, 0.1, 0.1)
+    tube = Tube(np.full(len(start), 0.02), 0.004, 0.1)
+    box = TubeBox(loop, line, start, tube)
+    samples, _ = box.samples(box.starts(30, np.random.default_rng(0)))
+    hold, friction = Hold.of(study.timing), loop.plants[0].friction
+    form = MovingForm(samples, loop.setting, friction, hold, line, tube.nu)
+    form = form.changed(decay=(rate, 0.52))
+    weights = best_weights(form, "free").weights
+    most = form.most | largest(form.weighed(weights))
+    return form, most, form.along(weights, tube, most)
+
+
+@pytest.mark.parametrize("rate", [0.7, 1.5])
+def test_what_is_left_at_the_end_of_a_move_counts_until_it_has_died_out(rate):
+    """∫s² over all time, of the product s n by Cauchy and Schwarz: after the end s ~ exp(−ρt)."""
+    form, _, on = bounds_along("two_link", rate)
+    dt = form.line.duration / (len(on.s) - 1)
+    after = on.s[-1] * np.exp(-rate * np.arange(0.0, 10.0 / rate, dt))
+    moving, falling = np.trapezoid(on.s**2, dx=dt), np.trapezoid(after**2, dx=dt)
+    assert falling > 0.05 * moving
+    assert on.s_n**2 > 0.999 * on.energy * (moving + falling)
+    assert on.n > 1.1 * np.sqrt(on.energy * form.line.duration)  # the bound of ∫n of the move alone
+
+
+def test_whatever_drives_a_joint_off_its_path_is_counted():
+    """Each constant that is larger makes the bounds of some joint larger."""
+    form, most, on = bounds_along("ur5", 1.0)  # whose joints move as they like besides
+    of_none = {"r", "turning", "gravity of M", "along", "margin", "flat", "sigma", "delta"}
+    names = [name for name in most if name not in of_none and name[:-1] not in ("f", "psi")]
+    usual = form.drift(on, most)
+    for name in names:
+        more = form.drift(on, most | {name: 2.0 * most[name]})
+        assert (more >= usual).all()
+        assert (more > usual * (1.0 + 1e-9)).any(), name
+
+
 def test_paths_and_errors_of_a_tube_are_those_asked_for():
     study = study_of("ur5")
     loop, line = study.loop(), EasedLine(np.array([0.0, 0.6, 0.8]), 0.15, 0.1)

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -144,6 +145,18 @@ def test_report_says_at_once_for_which_starts_it_holds(report):
         slower = report.test.below(level * report.test.level)
         found = replace(report, test=slower).rows[1].figures["share"]
         assert found == share or (share is None and 0.0 < found < 1.0)
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.1])
+def test_a_certificate_of_no_start_but_the_target_itself_covers_nothing(radius):
+    """Of a region of one configuration: by it the exit code is not 0."""
+    arm = aj.load_robot("two_link").with_gravity((0.0, 0.0, 0.0))
+    in_plane = partial(aj.PositionTask, axes="xz")
+    tools = aj.Uncertainty(arm, in_plane, object_length=(0.0, 0.06), object_axis="x")
+    law = aj.SetpointController(tools.believed_task())
+    found = aj.Study(law, tools, aj.JointBox.around(arm, Q2, radius)).report(20)
+    assert found.passed
+    assert found.covers == (found.test.level > 0.0) == (radius > 0.0)
 
 
 @pytest.mark.study
