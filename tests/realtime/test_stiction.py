@@ -28,8 +28,8 @@ def watched(commands, q=lambda k: Q, reference=None, accuracy=None, velocity=Fal
 def test_a_joint_may_stand_still_under_a_torque(reference):
     """However far it is led: but not under one that friction cannot hold."""
     assert watched(np.tile(HELD, (300, 1)), reference=reference) is None
-    rising = np.outer(np.linspace(0.0, 1.0, 300), 0.15 * np.array([87.0] * 4 + [12.0] * 3))
-    assert watched(0.7 * rising, reference=reference) is None
+    rising = np.outer(np.linspace(0.0, 1.0, 300), 0.2 * np.array([87.0] * 4 + [12.0] * 3))
+    assert watched(0.6 * rising, reference=reference) is None
     assert watched(rising, reference=reference) is Fault.COMMAND_UNANSWERED
 
 

@@ -142,7 +142,8 @@ def test_a_joint_that_does_not_answer_its_torque_is_found():
     for side in (1.0, -1.0):
         fault, t = watched(stands, sent=lambda t: min(t, 0.2) * pushed, side=side)
         assert fault is Fault.COMMAND_UNANSWERED
-        assert 0.12 < t < 0.145  # 12 % of its largest torque, and of what it is asked for
+        # 12 % of its largest torque and of what it is asked for; then it would move, with its rotor
+        assert 0.13 < t < 0.165, t
 
 
 def test_speed_that_grows_and_grows_is_found():
@@ -557,7 +558,7 @@ def test_at_125_hz_a_joint_that_stands_is_found_in_as_many_milliseconds():
         dt=8e-3, accuracy=Accuracy(q=1e-5, v=0.02), sent=lambda t: min(t, 0.2) * pushed,
     )  # fmt: skip
     assert fault is Fault.COMMAND_UNANSWERED
-    assert t < 0.15
+    assert t < 0.17, t
 
 
 # -- each joint, each direction, another arm and another period ------------------------------------

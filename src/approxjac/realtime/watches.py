@@ -12,7 +12,8 @@ import pinocchio as pin
 from approxjac.controllers.guard import usual_accelerations
 from approxjac.interface import Measurement
 from approxjac.realtime.faults import Accuracy, Fault
-from approxjac.robots import Dynamics, Friction, Robot
+from approxjac.robots import Drives, Dynamics, Friction, Robot
+from approxjac.robots.drives import usual_inertia
 from approxjac.tasks import Task
 from approxjac.tasks.frame_tasks import FrameKinematics
 from approxjac.validation import Array
@@ -28,6 +29,7 @@ _WAY = 0.02  # rad or m, commanded motion to which a joint has to respond
 _STOPPED = 30.0  # rad/s², by which no joint stops by itself
 _REPEATS = 8  # readings of q to the bit, after which a joint that moved is taken for frozen
 _STANDS = 0.03  # s, for which q of a joint is the same to the bit where it is at rest
+_MEAN = 0.005  # s, over which the acceleration of others is averaged, of a fine encoder
 _FINE = 1e-4  # rad or m, standard deviation of q with which the two before are so small
 _REMEMBERED = 200  # readings of both clocks
 _FASTER = 0.15  # of its largest speed, by which a joint may exceed the commanded one
@@ -80,7 +82,7 @@ class FaultWatch:
         self._last: Measurement | None = None
         # a command that a joint at rest must answer: a change of torque beside gravity, or a way
         self._commands_velocity = commands_velocity
-        self._dynamics = None if commands_velocity or adds_gravity else Dynamics(robot)
+        self._dynamics, self._adds_gravity = Dynamics(robot), adds_gravity
         usual, stated = Friction.usual(robot), accuracy.stiction
         self._by_load = 2.0 * np.asarray(usual.load) if stated is None else np.zeros(n)
         stiction = (
@@ -92,7 +94,13 @@ class FaultWatch:
         self._stands = np.maximum(_REPEATS, np.round(_STANDS * coarse / dt))
         # friction may hold one that is led by torques; what q̇ of its last step adds to them fades
         self._most_led = _WAY * coarse if commands_velocity else np.full(n, np.inf)
-        self._settles = math.ceil(3.0 * accuracy.velocity_filter / dt)
+        # where a joint that stands would be by now, and how fast, with a usual rotor
+        self._inertia = np.asarray(Drives.usual(robot).rotor_inertia) + usual_inertia(
+            robot, held=True
+        )
+        self._gone, self._goes, self._mean_v, self._mean_push = np.zeros((4, n))
+        self._mean = _MEAN * coarse
+        self._settles = np.ceil((3.0 * accuracy.velocity_filter + 2.0 * self._mean) / dt)
         self._command, self._push, self._held_by, self._led, self._recent = np.zeros((5, n))
         self._fades = math.exp(-dt / _FADES)
         self._faster = np.maximum(_FASTER * fastest, [_SLOW[unit] for unit in self._units])
@@ -134,10 +142,10 @@ class FaultWatch:
     def commanded(self, command: Array, reference: Array | None) -> Fault | None:
         """Return the fault of a joint that is faster than recent commands explain."""
         self._command = self._push = command
-        if self._dynamics is not None and self._last is not None:
+        if not (self._commands_velocity or self._adds_gravity or self._last is None):
             self._push = command - self._dynamics.g(self._last.q)
         if len(self._past) == 1:  # what holds a joint at rest from the beginning
-            self._held_by = self._push
+            self._held_by = self._mean_push = self._push
         led = np.abs(np.zeros_like(command) if reference is None else reference)
         self._led = led + led.max()  # joints need not share the motion as it is led
         if reference is None or self._unknown or self._last is None:
@@ -217,15 +225,29 @@ class FaultWatch:
             j = int(frozen.argmax())
             return self._fault(Fault.ENCODER_FROZEN, j, f"{_REPEATS} times the same q")
         self._way = np.where(same, self._way + self._dt * self._command, 0.0)
-        self._held_by = np.where(self._stood > self._settles, self._held_by, self._push)
-        led, pushed = np.abs(self._way), np.abs(self._push - self._held_by)
+        share = self._dt / (self._dt + self._mean)
+        self._mean_v = self._mean_v + share * (v - self._mean_v)
+        self._mean_push = self._mean_push + share * (self._push - self._mean_push)
+        self._held_by = np.where(self._stood > self._settles, self._held_by, self._mean_push)
+        # by what friction does not hold, which jitters with q̇ of others, it would move by now
+        pushed, per = self._push - self._held_by, self._dt / self._inertia
         answered = self._answered + self._by_load * np.abs(self._command)
-        unanswered = (led > self._most_led) | (pushed > answered)
+        goes = self._goes + per * pushed
+        slower = np.maximum(np.abs(goes) - per * answered, 0.0)
+        self._goes = np.where(self._stood >= self._settles, np.copysign(slower, goes), 0.0)
+        self._gone = np.where(self._goes != 0.0, self._gone + self._dt * self._goes, 0.0)
+        led = np.abs(self._way)
+        unanswered = (led > self._most_led) | (np.abs(self._gone) > self._q_noise)
         unanswered &= self._stood >= self._stands
+        if unanswered.any() and not self._commands_velocity and self._last is not None:
+            # torque that goes into the motion of others is none of its own
+            moving = self._dynamics.M(self._last.q) @ ((v - self._mean_v) / self._mean)
+            unanswered &= np.minimum(np.abs(pushed), np.abs(pushed - moving)) > answered
+            self._gone = np.where(unanswered, self._gone, 0.0)
         if not unanswered.any():
             return None
         j = int(unanswered.argmax())
-        message = f"its torque changed by {pushed[j]:.3g} {self._robot.force_units[j]}"
+        message = f"its torque changed by {abs(pushed[j]):.3g} {self._robot.force_units[j]}"
         if led[j] > self._most_led[j]:
             message = f"it was led {led[j]:.3g} {self._units[j]}"
         return self._fault(Fault.COMMAND_UNANSWERED, j, message)

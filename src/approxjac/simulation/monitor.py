@@ -242,7 +242,8 @@ class Monitor:
             if not swing.look(t, h, float(v[j])) or self._swinging[j] or not swing.lasts:
                 continue
             amplitude, period = swing.amplitude, swing.period
-            if moves and period > _QUICK:
+            # less than a step of its encoder is that step to and fro
+            if (moves and period > _QUICK) or amplitude < self._step[j]:
                 continue
             unit, joint = self._robot.joint_units[j], self._robot.joint_names[j]
             away, turns = self._tip.jacobian(q).reshape(2, 3, -1)
