@@ -1480,8 +1480,8 @@ MUTANTS = [
     ),
     (
         "target of a figure at its start", "paper/verdicts.py",
-        "position(np.array(setup.target))",
-        "position(np.array(setup.start))",
+        "position(np.array(study.TARGET))",
+        "position(np.array(study.START))",
         "tests/paper/test_paper.py",
     ),
     # -- and more of the same rooms

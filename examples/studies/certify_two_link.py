@@ -26,9 +26,8 @@ PRECISION = 1e-3  # of a camera roll [rad]
 
 def verdict(figure):
     """Ask the tests about a figure of the paper; return a row of the table."""
-    setup = paper.Setup()
-    plant, controller = paper.build(paper.EXPERIMENTS[figure], setup)
-    q = np.array(setup.target)
+    plant, controller = paper.build(paper.EXPERIMENTS[figure])
+    q = np.array(paper.TARGET)
     reports = [
         assess(
             controller,
@@ -69,9 +68,8 @@ def largest_roll(test, large_gains=False):
 def passes(test, roll, large_gains):
     """Tell if a test allows a camera roll [rad]."""
     experiment = replace(paper.EXPERIMENTS[4], camera=replace(paper.CAMERA, roll=roll))
-    setup = paper.Setup()
-    plant, controller = paper.build(experiment, setup)
-    q = np.array(setup.target)
+    plant, controller = paper.build(experiment)
+    q = np.array(paper.TARGET)
     region = aj.JointBox.around(plant.robot, q, 0.0)
     loop = ClosedLoop(controller, plant, region, plant.sensor.value(q))
     at_target = loop.samples_at(np.zeros(1, dtype=int), q[None])

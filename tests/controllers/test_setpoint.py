@@ -303,7 +303,7 @@ def robots_reachable_from(controller):
 @pytest.mark.parametrize("figure", paper.EXPERIMENTS)
 def test_the_true_robot_cannot_be_reached_from_a_controller(figure):
     experiment = paper.EXPERIMENTS[figure]
-    plant, controller = paper.build(experiment, paper.Setup())
+    plant, controller = paper.build(experiment)
     robots = robots_reachable_from(controller)
     assert controller.task.robot in robots
     assert not any(robot is plant.robot for robot in robots)
@@ -319,7 +319,7 @@ def test_the_true_robot_cannot_be_reached_from_a_limiter():
 
 
 def test_the_walk_finds_what_is_hidden():
-    _, controller = paper.build(paper.EXPERIMENTS[7], paper.Setup())
+    _, controller = paper.build(paper.EXPERIMENTS[7])
     truth = paper.build_arm()
     assert truth not in robots_reachable_from(controller)
     controller.hidden = lambda: truth
@@ -329,7 +329,7 @@ def test_the_walk_finds_what_is_hidden():
 @pytest.mark.parametrize("figure", paper.EXPERIMENTS)
 def test_the_studys_torques_are_bit_identical_when_the_truth_changes(figure, rng):
     """Whatever truth stands beside it, the same belief and measurement give the same bits."""
-    plant, controller = paper.build(paper.EXPERIMENTS[figure], paper.Setup())
+    plant, controller = paper.build(paper.EXPERIMENTS[figure])
     measurement = plant.measure(0.0, rng.uniform(-1, 1, 2), rng.uniform(-1, 1, 2))
     state = controller.begin(measurement)
     target = np.array([-0.02, 0.02])

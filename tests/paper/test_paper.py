@@ -1,6 +1,7 @@
 """The reproduction contract: THEORY.md, section 4. Figure 1 is Eq. (23), Eq. (24), Eq. (25)."""
 
 import dataclasses
+import inspect
 import math
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import approxjac as aj
-from approxjac.cli import main
+from approxjac.cli import paper_command
 from approxjac.paper import experiments as paper
 from approxjac.paper import verdicts
 from approxjac.robots import Dynamics
@@ -32,8 +33,7 @@ def to_digits(value, printed):
 
 @pytest.fixture(scope="module")
 def results():
-    setup = paper.Setup()
-    return {f: paper.run_experiment(e, setup) for f, e in paper.EXPERIMENTS.items()}
+    return {f: paper.run_experiment(e) for f, e in paper.EXPERIMENTS.items()}
 
 
 @pytest.mark.parametrize("figure", TABLE)
@@ -76,10 +76,10 @@ def test_the_page_of_the_study_has_the_numbers_of_the_code():
         gravity = learnt if e.learn_gravity else "known"
         rows.append(row(f"{figure}", f"{e.kp:g}", f"{e.kv:g}", e.camera, e.lengths, gravity))
     assert "\n".join(rows) in page
-    setup = paper.Setup()
-    start, target = (f"({a:g}°, {b:g}°)" for a, b in np.degrees([setup.start, setup.target]))
+    start, target = (f"({a:g}°, {b:g}°)" for a, b in np.degrees([paper.START, paper.TARGET]))
     assert f"starts at rest in q(0) = {start}; its target is the image of {target}" in page
-    assert f"each run lasts {setup.duration:g} s" in page
+    duration = inspect.signature(paper_command.paper).parameters["duration"].default
+    assert f"each run lasts {duration:g} s" in page
 
 
 def test_V_is_no_lyapunov_function_where_theorem_1_does_not_hold(results):
@@ -118,20 +118,20 @@ def pinhole(planar):
 )
 def test_a_pinhole_camera_gives_the_same_numbers(results, figure):
     """Section 5.1 through the general code: gains are those of an error in px, runs the same."""
-    experiment, setup, planar = paper.EXPERIMENTS[figure], paper.Setup(), results[figure].run
-    plant, controller = paper.build(experiment, setup)
+    experiment, planar = paper.EXPERIMENTS[figure], results[figure].run
+    plant, controller = paper.build(experiment)
     sensor = aj.ImageTask(plant.robot, pinhole(paper.CAMERA))
-    plant = aj.Plant(plant.robot, sensor, setup.friction)
+    plant = aj.Plant(plant.robot, sensor)
     controller = aj.SetpointController(
         aj.ImageTask(controller.task.robot, pinhole(experiment.camera)),
         aj.Gains(experiment.kp * PITCH**2, experiment.kv * PITCH**2),
         gravity=controller.gravity,
     )
-    q_target = np.array(setup.target)
+    q_target = np.array(paper.TARGET)
     local = aj.local_stability(plant, controller, q_target)
     assert_allclose(local.max_real_eigenvalue, results[figure].local.max_real_eigenvalue)
     run = aj.simulate(
-        plant, controller, sensor.value(q_target), setup.start, 20.0, record_every=0.025, dt=None
+        plant, controller, sensor.value(q_target), paper.START, 20.0, record_every=0.025, dt=None
     )
     n = len(run.t)
     assert_allclose(run.t, planar.t[:n], atol=1e-9)
@@ -174,34 +174,31 @@ def test_an_error_has_died_down_where_each_part_of_its_end_says_so(usual, norm, 
 
 
 def test_an_arm_that_is_believed_as_it_is_has_the_inertia_of_the_true_one(rng):
-    """Of Figures 3 to 5 the camera alone is wrong; friction is that of both joints."""
-    plant, controller = paper.build(paper.EXPERIMENTS[4], paper.Setup(friction=0.4))
+    """Of Figures 3 to 5 the camera alone is wrong; no joint has friction."""
+    plant, controller = paper.build(paper.EXPERIMENTS[4])
     belief = Dynamics(controller.task.robot)
     for q in rng.uniform(-3.0, 3.0, (3, 2)):
         assert_allclose(belief.M(q), plant.dynamics.M(q))
         assert_allclose(belief.g(q), plant.dynamics.g(q), atol=1e-12)
         assert_allclose(controller.gravity.torque(q), plant.dynamics.g(q), atol=1e-12)
-    assert_allclose(plant.friction, [0.4, 0.4])
+    assert_allclose(plant.friction, [0.0, 0.0])
 
 
 @pytest.mark.long
-def test_a_limit_cycle_is_not_called_stable():
+def test_a_limit_cycle_is_not_called_stable(monkeypatch):
     """A large start makes any early quarter look worse than a limit cycle that goes on."""
-    setup = paper.Setup(
-        start=(math.radians(200.0), math.radians(-170.0)),
-        target=(math.radians(-30.0), math.radians(45.0)),
-    )
-    result = paper.run_experiment(paper.EXPERIMENTS[8], setup)
+    monkeypatch.setattr(paper, "START", (math.radians(200.0), math.radians(-170.0)))
+    monkeypatch.setattr(paper, "TARGET", (math.radians(-30.0), math.radians(45.0)))
+    result = paper.run_experiment(paper.EXPERIMENTS[8])
     assert result.error_ratios[120.0] > 0.01
     assert result.verdict == "unstable"
 
 
 @pytest.mark.study
-def test_learnt_gravity_needs_the_linearization_too():
+def test_learnt_gravity_needs_the_linearization_too(monkeypatch):
     """The run of Figure 8 dies down at the other elbow; at the posture meant it would grow."""
-    result = paper.run_experiment(
-        paper.EXPERIMENTS[8], paper.Setup(target=(math.radians(45.0), math.radians(90.0)))
-    )
+    monkeypatch.setattr(paper, "TARGET", (math.radians(45.0), math.radians(90.0)))
+    result = paper.run_experiment(paper.EXPERIMENTS[8])
     assert result.settles
     assert not result.local.stable
     assert result.verdict == "unstable"
@@ -209,14 +206,14 @@ def test_learnt_gravity_needs_the_linearization_too():
 
 
 def test_a_run_that_is_too_short_says_so():
-    result = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(duration=1.0))
+    result = paper.run_experiment(paper.EXPERIMENTS[3], 1.0)
     assert result.verdict == "unstable"
     assert not result.evidence_agrees
     assert "too short to show the growth" in result.reason
 
 
 def test_figure_1_bounds_figure_4():
-    bound = paper.jacobian_bound(paper.Setup())
+    bound = paper.jacobian_bound()
     assert bound.largest_allowed_p == pytest.approx(0.0113, abs=5e-5)
     assert bound.p_of_figure_4 == pytest.approx(0.0381, abs=5e-5)
     assert bound.alpha == pytest.approx(math.sqrt(bound.lambda_2))
@@ -228,19 +225,14 @@ def test_figure_1_bounds_figure_4():
     assert not bound.condition_23_met
 
 
-def test_friction_can_meet_condition_23():
-    assert not paper.jacobian_bound(paper.Setup(friction=50.0)).condition_23_met
-    assert paper.jacobian_bound(paper.Setup(friction=150.0)).condition_23_met
-
-
 def test_the_summary_and_the_table_are_of_what_was_run(results):
     """Each figure by its own numbers, whichever are asked for and in whichever order."""
-    setup = paper.Setup(friction=0.1)
-    bound = paper.jacobian_bound(setup)
-    summary = verdicts.summary([results[f] for f in (8, 3, 6)], bound, setup)
+    bound = paper.jacobian_bound()
+    summary = verdicts.summary([results[f] for f in (8, 3, 6)], bound, 120.0)
     figures = summary["figures"]
     assert list(figures) == ["fig1", "fig8", "fig3", "fig6"]
-    assert summary["setup"] == dataclasses.asdict(setup)
+    setup = {"start": paper.START, "target": paper.TARGET, "duration": 120.0}
+    assert summary["setup"] == setup
     for figure in (3, 6, 8):
         found, result = figures[f"fig{figure}"], results[figure]
         own = paper.EXPERIMENTS[figure]
@@ -268,104 +260,26 @@ def test_the_summary_and_the_table_are_of_what_was_run(results):
     assert f"Figure 4: {wrong.reason}" in " ".join(told.split())
 
 
-@pytest.mark.parametrize("elbow", [0.0, pytest.param(math.pi, marks=pytest.mark.study)])
-def test_a_singular_target_is_never_called_stable_by_the_linearization(elbow):
-    setup = paper.Setup(target=(0.3, elbow), duration=2.0)
-    result = paper.run_experiment(paper.EXPERIMENTS[6], setup)
-    assert result.local.singular
-    assert not result.local.stable
-    assert "singular configuration" in result.reason
-    assert paper.jacobian_bound(setup).lambda_2 == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.study
 def test_error_ratios_do_not_depend_on_the_duration():
-    usual = paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=20.0))
-    odd = paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=77.7))
+    usual = paper.run_experiment(paper.EXPERIMENTS[4], 20.0)
+    odd = paper.run_experiment(paper.EXPERIMENTS[4], 77.7)
     for t in (5.0, 20.0):
         assert odd.error_ratios[t] == pytest.approx(usual.error_ratios[t], rel=1e-3)
 
 
-CHANGES = {
-    "start": {"start": (0.5, 1.0)},
-    "target": {"target": (1.2, 1.4)},
-    "friction": {"friction": 0.5},
-    "gamma": {"gamma": 0.005},
-    "duration": {"duration": 4.0},
-}
-
-
 @pytest.fixture(scope="module")
 def usual():
-    return paper.run_experiment(paper.EXPERIMENTS[4], paper.Setup(duration=2.0))
+    return paper.run_experiment(paper.EXPERIMENTS[4], 2.0)
 
 
-@pytest.mark.parametrize(
-    "option",
-    [pytest.param(k, marks=[] if k == "gamma" else pytest.mark.study) for k in CHANGES],
-)
-def test_each_option_changes_what_is_simulated(option, usual):
-    setup = paper.Setup(**{"duration": 2.0, **CHANGES[option]})
-    changed = paper.run_experiment(paper.EXPERIMENTS[4], setup)
-    if option == "duration":
-        assert changed.run.t[-1] == 4.0
-        assert usual.run.t[-1] == 2.0
-    else:
-        difference = np.abs(changed.run.q - usual.run.q).max()
-        assert difference > 1e-3
-
-
-def test_options_of_the_command_are_those_of_the_setup(tmp_path, monkeypatch):
-    """Angles in degrees: first joint, second joint."""
-
-    class Asked(Exception):
-        pass
-
-    def run(experiment, setup, progress):
-        raise Asked(experiment.figure, setup)
-
-    monkeypatch.setattr(paper, "run_experiment", run)
-    words = "--figures 5 --start 30 60 --target 80 70 --duration 7 --friction 0.3 --gamma 0.005"
-    with pytest.raises(Asked) as caught:
-        main(["paper", *words.split(), "--out", str(tmp_path)])
-    start, target = (tuple(map(math.radians, each)) for each in ((30.0, 60.0), (80.0, 70.0)))
-    assert caught.value.args == (5, paper.Setup(start, target, 0.3, 0.005, 7.0))
-
-
-@pytest.mark.study
-def test_friction_helps_as_the_paper_says():
-    little = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(duration=0.1))
-    much = paper.run_experiment(paper.EXPERIMENTS[3], paper.Setup(friction=5.0, duration=0.1))
-    assert not little.local.stable
-    assert much.local.max_real_eigenvalue < little.local.max_real_eigenvalue
-
-
-@pytest.mark.parametrize(
-    ("changes", "error", "text"),
-    [
-        ({"start": (1.0,)}, aj.InvalidInputError, r"start must have shape \(2,\) \[rad\], got sha"),
-        ({"start": (np.nan, 1.0)}, aj.InvalidInputError, r"start must be finite \[rad\], got"),
-        ({"friction": -1.0}, aj.InvalidInputError, r"friction must be a finite number >= 0"),
-        ({"gamma": 0.0}, aj.InvalidInputError, r"gamma must be a finite number > 0 \[m\], got 0.0"),
-        ({"duration": 0.0}, aj.InvalidInputError, r"duration must be a finite number > 0 \[s\]"),
-        (
-            {"start": (math.pi / 2, math.pi / 2)},
-            aj.InvalidInputError,
-            "start must not have the image of the target already",
-        ),
-    ],
-)
-def test_bad_setups_are_refused(changes, error, text):
-    with pytest.raises(error, match=text):
-        paper.Setup(**changes)
-
-
-@pytest.mark.parametrize("friction", [0.0, 50.0])
-def test_figure_1_is_of_the_bound_that_it_is_given(friction, tmp_path, monkeypatch):
+@pytest.mark.parametrize("larger", [1.0, 3.0])
+def test_figure_1_is_of_the_bound_that_it_is_given(larger, tmp_path, monkeypatch):
     """Both curves of (23) through their crossing, and Figure 4's own p."""
     drawn = []
     monkeypatch.setattr(verdicts.view, "save_figure", lambda figure, stem: drawn.append(figure))
-    bound = paper.jacobian_bound(paper.Setup(friction=friction))
+    bound = paper.jacobian_bound()
+    bound = dataclasses.replace(bound, lambda_2=larger * bound.lambda_2)
     verdicts.write_bound(bound, tmp_path)
     (ax,) = drawn[0].axes
     velocity, position, crossing, own = ax.lines
@@ -381,13 +295,12 @@ def test_figure_1_is_of_the_bound_that_it_is_given(friction, tmp_path, monkeypat
 def test_the_cross_in_a_figure_is_where_the_target_has_the_tip(usual, tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(verdicts.view, "save_figure", lambda figure, stem: drawn.append(figure))
-    setup = paper.Setup(duration=2.0)
     truth = paper.build_arm()
-    verdicts.write_result(usual, setup, truth, tmp_path)
+    verdicts.write_result(usual, truth, tmp_path)
     lines = {line.get_label(): np.array(line.get_data()).T for line in drawn[0].axes[1].lines}
-    (l1, l2, lo), (q1, q2) = paper.LENGTHS, setup.target
+    (l1, l2, lo), (q1, q2) = paper.LENGTHS, paper.TARGET
     tip = l1 * np.exp(1j * q1) + (l2 + lo) * np.exp(1j * (q1 + q2))
     assert_allclose(lines["target"], [[tip.real, tip.imag]], atol=1e-12)
-    start = l1 * np.exp(1j * setup.start[0]) + (l2 + lo) * np.exp(1j * sum(setup.start))
+    start = l1 * np.exp(1j * paper.START[0]) + (l2 + lo) * np.exp(1j * sum(paper.START))
     assert_allclose(lines["path of object_tip"][0], [start.real, start.imag], atol=1e-12)
     assert aj.Trajectory.load(tmp_path / "fig4.npz").t[-1] == 2.0

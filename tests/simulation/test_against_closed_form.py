@@ -53,7 +53,7 @@ def closed_form_run(figure, times):
     "figure", [4, *(pytest.param(n, marks=pytest.mark.long) for n in sorted(BELIEFS) if n != 4)]
 )
 def test_trajectories_agree_to_1e_6(figure):
-    result = paper.run_experiment(paper.EXPERIMENTS[figure], paper.Setup(duration=20.0))
+    result = paper.run_experiment(paper.EXPERIMENTS[figure], 20.0)
     run = result.run
     q, v, theta_hat, error = closed_form_run(figure, run.t)
     assert_allclose(run.q, q, rtol=0, atol=1e-6)

@@ -36,9 +36,8 @@ Q2 = np.array([0.7, 1.1])  # of the two-link arm
 
 def at_target(figure):
     """The sample at the target of one of the paper's figures, and its setting."""
-    setup = paper.Setup()
-    plant, controller = paper.build(paper.EXPERIMENTS[figure], setup)
-    q = np.array(setup.target)
+    plant, controller = paper.build(paper.EXPERIMENTS[figure])
+    q = np.array(paper.TARGET)
     region = aj.JointBox.around(plant.robot, q, 0.0)
     loop = ClosedLoop(controller, plant, region, plant.sensor.value(q))
     return loop.draw(1, np.random.default_rng(0)), loop.setting

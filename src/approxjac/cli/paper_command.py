@@ -1,7 +1,6 @@
 """`approxjac paper`: the paper's two-link study."""
 
 import json
-import math
 from pathlib import Path
 
 from approxjac.cli.options import make_folder, time_bar
@@ -12,10 +11,6 @@ from approxjac.files import together, write_text
 def paper(
     out: Path = Path("results/paper"),
     figures: tuple[int, ...] = (1, 3, 4, 5, 6, 7, 8),
-    start: tuple[float, float] = (60.0, 90.0),
-    target: tuple[float, float] = (90.0, 90.0),
-    friction: float = 0.0,
-    gamma: float | None = None,
     duration: float = 120.0,
 ) -> int:
     """Reproduce the paper's two-link study, Figures 1 and 3-8, with a verdict for each.
@@ -28,10 +23,6 @@ def paper(
         out: Folder for figN.png, figN.svg, figN.npz and summary.json, and, with the extra "view"
             installed, pages to see in a browser: index.html and figN.html.
         figures: Figures to make, such as "--figures 3 4".
-        start: Configuration q(0) at the start, in degrees.
-        target: Configuration whose image is the target, in degrees.
-        friction: Viscous friction B at both joints, N m s/rad.
-        gamma: Saturation of the error on the sensor, in m; "None" is s(e) = e.
         duration: Length of each run, in s.
     """
     from approxjac.paper import experiments as study
@@ -42,13 +33,6 @@ def paper(
     for figure in set(figures) - {1, *study.EXPERIMENTS}:
         known = ", ".join(map(str, (1, *study.EXPERIMENTS)))
         raise InvalidInputError(f"figures must be among {known}, got {figure}", given=figure)
-    setup = study.Setup(
-        start=(math.radians(start[0]), math.radians(start[1])),
-        target=(math.radians(target[0]), math.radians(target[1])),
-        friction=friction,
-        gamma=gamma,
-        duration=duration,
-    )
     make_folder(out)
     truth = study.build_arm()
     bound = None
@@ -57,7 +41,7 @@ def paper(
     with together(out) as folder, time_bar(max(1, len(experiments)) * duration, "figure 1") as bar:
         if 1 in figures:
             bar.set_description("figure 1")
-            bound = study.jacobian_bound(setup)
+            bound = study.jacobian_bound()
             report.write_bound(bound, folder)
         for i, experiment in enumerate(experiments):
             bar.set_description(f"figure {experiment.figure}")
@@ -65,10 +49,10 @@ def paper(
             def advance(t: float, done: float = i * duration) -> None:
                 bar.update(done + t - bar.n)
 
-            result = study.run_experiment(experiment, setup, progress=advance)
-            report.write_result(result, setup, truth, folder)
+            result = study.run_experiment(experiment, duration, progress=advance)
+            report.write_result(result, truth, folder)
             results.append(result)
-        summary = report.summary(results, bound, setup)
+        summary = report.summary(results, bound, duration)
         write_text(folder / "summary.json", json.dumps(summary, indent=2) + "\n")
     print(report.table(results, bound))
     print(f"\nPictures, runs and summary.json are in {out}")

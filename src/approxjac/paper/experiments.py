@@ -1,4 +1,4 @@
-"""The paper's simulations: beliefs, choices that the paper leaves open, and results."""
+"""The paper's simulations: beliefs, start and target, which the paper leaves open, and results."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -10,13 +10,12 @@ import numpy as np
 from approxjac import law
 from approxjac.cameras import PlanarCamera
 from approxjac.controllers import AdaptiveGravity, Gains, RegressorGravity, SetpointController
-from approxjac.errors import InvalidInputError
-from approxjac.law import Linear, Sine
+from approxjac.law import Linear
 from approxjac.robots import GravityRegressor, Robot, load_robot
 from approxjac.simulation import Computation, Plant, Trajectory, simulate
 from approxjac.stability import LocalStability, local_stability
 from approxjac.tasks import ImageTask
-from approxjac.validation import Array, as_array, as_number
+from approxjac.validation import Array, as_number
 
 Verdict = Literal["stable", "unstable"]
 
@@ -24,6 +23,8 @@ LENGTHS = (1.0, 1.0, 0.5)  # l₁, l₂ and l_o of the true arm [m]
 OBJECT_MASS = 0.5  # m_o [kg], believed too; the links' masses are in urdf/two_link.urdf
 CAMERA = PlanarCamera(focal_length=0.05, distance=3.0)  # the true camera
 LEARNING_GAIN, ALPHA = 0.12, 1.0  # L = 0.12 I and α [1/s] where gravity is learnt
+START = (math.radians(60.0), math.radians(90.0))  # q(0) [rad]
+TARGET = (math.radians(90.0), math.radians(90.0))  # whose image is the target X_d [rad]
 REPORT_TIMES = (5.0, 20.0, 60.0, 120.0)  # times at which error ratios are reported [s]
 _ROLLED = PlanarCamera(focal_length=0.05, distance=3.0, roll=math.radians(60.0))
 _ALL_WRONG = PlanarCamera(focal_length=0.1, distance=4.0, roll=math.radians(60.0))
@@ -70,37 +71,6 @@ EXPERIMENTS: Mapping[int, Experiment] = {
 }
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Choices that the paper leaves open; the default ones give every verdict of the paper.
-
-    Raises:
-        InvalidInputError: Numbers out of range, or start and target with the same image.
-    """
-
-    start: tuple[float, float] = (math.radians(60.0), math.radians(90.0))  # q(0) [rad]
-    # configuration whose image is the target X_d [rad]
-    target: tuple[float, float] = (math.radians(90.0), math.radians(90.0))
-    friction: float = 0.0  # B, the same at both joints [N m s/rad]
-    gamma: float | None = None  # γ of s(e) = γ sin(e/γ) [m on the sensor]; None is s(e) = e
-    duration: float = 120.0  # length of each run [s]
-
-    def __post_init__(self) -> None:
-        start = as_array("start", self.start, (2,), "rad")
-        target = as_array("target", self.target, (2,), "rad")
-        as_number("friction", self.friction, unit="N m s/rad", minimum=0.0)
-        as_number("duration", self.duration, unit="s", above=0.0)
-        if self.gamma is not None:
-            as_number("gamma", self.gamma, unit="m", above=0.0)
-        image = ImageTask(build_arm(), CAMERA)
-        if float(np.linalg.norm(image.value(start) - image.value(target))) < 1e-9:
-            raise InvalidInputError(
-                "start must not have the image of the target already, got start = "
-                f"{start.tolist()} and target = {target.tolist()} [rad]",
-                given=self.start,
-            )
-
-
 def build_arm(lengths: tuple[float, float, float] = LENGTHS) -> Robot:
     """Return the arm of lengths l₁, l₂, l_o [m] with the object, the true or a believed one."""
     l1, l2, lo = lengths
@@ -109,7 +79,7 @@ def build_arm(lengths: tuple[float, float, float] = LENGTHS) -> Robot:
     return arm.with_object(lo, OBJECT_MASS, radius=0.0, axis="x")
 
 
-def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointController]:
+def build(experiment: Experiment) -> tuple[Plant, SetpointController]:
     """Return the plant and the controller of one experiment.
 
     Gravity is known in Figures 3–7, as the paper assumes: as Z(q)θ, eq. (27), with the true
@@ -126,9 +96,9 @@ def build(experiment: Experiment, setup: Setup) -> tuple[Plant, SetpointControll
         ImageTask(belief, experiment.camera),
         Gains(kp=experiment.kp, kv=experiment.kv),
         gravity=gravity,
-        saturation=Linear() if setup.gamma is None else Sine(setup.gamma),
+        saturation=Linear(),
     )
-    return Plant(truth, ImageTask(truth, CAMERA), friction=setup.friction), controller
+    return Plant(truth, ImageTask(truth, CAMERA)), controller
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +137,6 @@ class Reproduction:
     def reason(self) -> str:
         """Evidence for the verdict, in words; says so where linearisation and run differ."""
         run = f"the run's error {'falls' if self.settles else 'does not fall'}"
-        if self.local.singular:
-            where = "the target is a singular configuration"
-            return f"{where}, where the linearisation decides nothing; {run}"
         text = f"max Re λ = {self.local.max_real_eigenvalue:+.4f}, {run}"
         if self.evidence_agrees:
             return text
@@ -191,23 +158,26 @@ class Reproduction:
 
 
 def run_experiment(
-    experiment: Experiment, setup: Setup, progress: Callable[[float], None] | None = None
+    experiment: Experiment,
+    duration: float = 120.0,
+    progress: Callable[[float], None] | None = None,
 ) -> Reproduction:
-    """Simulate one experiment as one differential equation and judge it.
+    """Simulate one experiment of some duration [s] as one differential equation and judge it.
 
     `progress` is called now and then with the time reached [s].
     """
-    plant, controller = build(experiment, setup)
-    q_target = np.array(setup.target)
+    as_number("duration", duration, unit="s", above=0.0)
+    plant, controller = build(experiment)
+    q_target = np.array(TARGET)
     run = simulate(
         plant,
         controller,
         target=plant.sensor.value(q_target),
-        q0=setup.start,
-        duration=setup.duration,
+        q0=START,
+        duration=duration,
         dt=None,
         # at most 25 ms, whatever the duration: error ratios are read between the records
-        record_every=setup.duration / max(4800, math.ceil(setup.duration / 0.025)),
+        record_every=duration / max(4800, math.ceil(duration / 0.025)),
         computation=Computation(progress=progress),
     )
     theta_hat = controller.learnt(run.state)[-1] if experiment.learn_gravity else None
@@ -230,10 +200,10 @@ class JacobianBound:
         return self.p_of_figure_4 < self.allowed_p_at_a_of_figure_4
 
 
-def jacobian_bound(setup: Setup) -> JacobianBound:
+def jacobian_bound() -> JacobianBound:
     """Evaluate (23) and (25) on the true and believed arm of Figure 4."""
-    experiment, q = EXPERIMENTS[4], np.array(setup.target)
-    plant, controller = build(experiment, setup)
+    experiment, q = EXPERIMENTS[4], np.array(TARGET)
+    plant, controller = build(experiment)
     J_hat = controller.task.jacobian(q)
     lambda_2 = law.lambda_2(J_hat, plant.friction / experiment.kv)
     return JacobianBound(

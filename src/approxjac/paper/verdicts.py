@@ -20,7 +20,7 @@ from approxjac.view.style import formulas
 def write_bound(bound: study.JacobianBound, out: Path) -> None:
     """Write fig1.png and fig1.svg: the allowed p against a, its two curves and their crossing."""
     alpha, p, colors = float(np.sqrt(bound.lambda_2)), bound.p_of_figure_4, view.SERIES
-    a = np.linspace(0.0, 4.0 * (alpha or 1.0), 600)[1:]  # 0: a singular target allows no error
+    a = np.linspace(0.0, 4.0 * alpha, 600)[1:]
     velocity = law.allowed_p_velocity(a, alpha, bound.lambda_2)
     position = law.allowed_p_position(a, alpha)
     figure, (ax,) = view.new_figure(size=(6.5, 4.8))
@@ -41,7 +41,7 @@ def write_bound(bound: study.JacobianBound, out: Path) -> None:
 
 
 def summary(
-    results: Sequence[study.Reproduction], bound: study.JacobianBound | None, setup: study.Setup
+    results: Sequence[study.Reproduction], bound: study.JacobianBound | None, duration: float
 ) -> dict[str, Any]:
     """Return the contents of `summary.json`."""
     figures: dict[str, Any] = {}
@@ -64,7 +64,7 @@ def summary(
         }
     truth: dict[str, Any] = {"lengths": study.LENGTHS, "object_mass": study.OBJECT_MASS}
     truth["camera"] = _camera(study.CAMERA)
-    setting = dataclasses.asdict(setup)
+    setting = {"start": study.START, "target": study.TARGET, "duration": duration}
     return {"study": "paper", "setup": setting, "truth": truth, "figures": figures}
 
 
@@ -79,15 +79,10 @@ def table(results: Sequence[study.Reproduction], bound: study.JacobianBound | No
         same = sum(result.agrees_with_paper for result in results)
         lines += [f"verdicts: {same} of {len(results)} as in the paper", ""]
     if bound is not None:
-        verdict = (
-            "condition (23) is met there; (14) and (22), which Theorem 1 needs too, are not checked"
-            if bound.condition_23_met
-            else "Theorem 1 does not cover it"
-        )
         text = (
             f"Figure 1: at the target, (25) allows p < {bound.largest_allowed_p:.4f}, and (23) "
             f"allows p < {bound.allowed_p_at_a_of_figure_4:.4f} with the gain ratio a of Figure 4, "
-            f"which has p = {bound.p_of_figure_4:.4f}: {verdict}."
+            f"which has p = {bound.p_of_figure_4:.4f}: Theorem 1 does not cover it."
         )
         lines += [*wrapped(text), ""]
     if results:
@@ -125,14 +120,14 @@ def write_pages(results: Sequence[study.Reproduction], out: Path) -> str:
     return f"See them move: {view.write_index(out, title)}"
 
 
-def write_result(result: study.Reproduction, setup: study.Setup, truth: Robot, out: Path) -> None:
+def write_result(result: study.Reproduction, truth: Robot, out: Path) -> None:
     """Write figN.png and .svg (task error, path in the plane, torques) and the run, figN.npz."""
     e, learns = result.experiment, result.theta_hat is not None
     gains = f"(K_p = {e.kp:g} I, K_v = {e.kv:g} I)"
     title = formulas(f"Figure {e.figure}: {e.title} {gains} — {result.verdict}")
     figure, axes = view.new_figure(4 if learns else 3, title=title)
     view.plot_error(result.run, axes[0], title="Error of the image, coordinate by coordinate")
-    target = FrameKinematics(truth, truth.tip_or(None)).position(np.array(setup.target))
+    target = FrameKinematics(truth, truth.tip_or(None)).position(np.array(study.TARGET))
     view.plot_path(result.run, truth, ax=axes[1], target=target)
     view.plot_torque(result.run, axes[2])
     if learns:

@@ -46,10 +46,9 @@ def reach(panda):
 @pytest.fixture(scope="module")
 def drawn():
     """The paper's arm with all wrong, camera and lengths."""
-    setup = paper.Setup(duration=60.0)
-    plant, controller = paper.build(paper.EXPERIMENTS[7], setup)
-    target = plant.sensor.value(np.array(setup.target))
-    return aj.simulate(plant, controller, target, setup.start, 60.0, dt=None)
+    plant, controller = paper.build(paper.EXPERIMENTS[7])
+    target = plant.sensor.value(np.array(paper.TARGET))
+    return aj.simulate(plant, controller, target, paper.START, 60.0, dt=None)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +137,7 @@ def test_the_paper_arm_reaches_the_line_of_sight(drawn, show):
     q_end = drawn.q[-1]
     tip = position(scene.truth, q_end)
     ghost = position(scene.belief, q_end)
-    goal = position(scene.truth, np.array(paper.Setup().target))
+    goal = position(scene.truth, np.array(paper.TARGET))
     assert np.linalg.norm(project(page, tip) - project(page, goal)) < 6.0
     assert np.linalg.norm(project(page, ghost) - project(page, goal)) > 40.0
     image = pixels(page)
