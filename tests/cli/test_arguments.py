@@ -68,7 +68,6 @@ simulate panda --true.floor 0 | --true.floor | got 0.0 | true.engine mujoco
 simulate panda --task.kind image --task.points 9 | --task.points | got 9 | 1, 2 or 3
 simulate panda --sensor.rate 1e6 | --sensor.rate | got 1e+06 | at most that of control, 1000 [Hz]
 simulate panda --controller.law tracking --gravity exact | --gravity | got exact | learnt or
-simulate panda --limits none --controller.torque-rate 9 | torque-rate | got 9.0 | "urdf"
 simulate panda --out file | --out | got file | a folder that can be made
 simulate zero.toml | controller.kp | got 0.0 in zero.toml | > 0
 simulate late.toml | sensor.delay | got 100 | shorter than the run, 20 [s]
@@ -123,7 +122,7 @@ def test_the_error_is_one_line_with_option_value_and_what_is_valid(
     ("words", "start"),
     [
         ("simulate pando --seed 1", "robot 'pando'"),  # which the seed has no part in
-        ("simulate panda --sensor.lost-part 5 --sensor.lost 0 1", "--sensor.lost-part must be"),
+        ("simulate panda --sensor.lost 30 31 --seed 1", "--sensor.lost must be"),
         ("simulate panda --seed 2 --believed.shifts joint9 0 0 1", "--believed.shifts: joint "),
     ],
 )

@@ -229,25 +229,19 @@ def test_gravity_is_compensated_as_it_is_said(gravity, integral, rng):
     assert (built.plant.adds_gravity is not None) == (gravity == "learn_residual")
 
 
-def test_saturation_posture_and_differentiator_are_those_that_are_said():
-    law = build_scenario(Scenario("ur3", controller={"gamma": 0.07, "posture_stiffness": 4.0})).law
+def test_saturation_and_differentiator_are_those_that_are_said():
+    law = build_scenario(Scenario("ur3", controller={"gamma": 0.07})).law
     assert_allclose(law.saturation.s(np.full(3, 9.0)), 0.07)
-    start = (0.1, -1.0, 1.2, -0.9, -1.4, 0.2)
-    drawn = Scenario("ur3", controller={"posture_stiffness": 4.0}, run={"start": start})
-    posture = build_scenario(drawn).law.posture
-    assert_array_equal(posture.q, start)
-    assert_array_equal(posture.stiffness, 4.0)
     five = Scenario("two_link", controller={"differentiator": 0.06})
     assert build_scenario(five).law.velocity.time_constant == 0.06
 
 
-def test_limits_are_the_share_and_the_rate_that_are_said():
-    control = {"limits": 0.6, "torque_rate": 300.0}
+def test_limits_are_the_share_that_is_said():
+    control = {"limits": 0.6}
     built, arm = build_scenario(Scenario("ur3", controller=control)), aj.load_robot("ur3")
     limits = built.limits
     assert_allclose(limits.effort, 0.6 * arm.effort_limits)
     assert_allclose(built.plant.motor_limits, limits.effort)
-    assert_array_equal(limits.rate, [300.0] * 6)
     assert_array_equal(limits.velocity, arm.velocity_limits)
     alone = build_scenario(Scenario("ur3", controller=control), effort_only=True).limits
     assert_allclose(alone.effort, limits.effort)

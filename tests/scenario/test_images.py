@@ -74,8 +74,8 @@ def test_law_5_differentiates_the_image_and_approaches():
 @pytest.mark.study
 @pytest.mark.parametrize(
     "outage",
-    [{"lost": (0.3, 1.3), "lost_part": 1}, {"lost": (0.3, 1.3)}, {"frozen": (0.3, 1.3)}],
-    ids=["one point", "all points", "frozen"],
+    [{"lost": (0.3, 1.3)}, {"frozen": (0.3, 1.3)}],
+    ids=["lost", "frozen"],
 )
 def test_without_images_the_arm_stops_and_goes_on_after(done, outage):
     result = made(
@@ -89,16 +89,6 @@ def test_without_images_the_arm_stops_and_goes_on_after(done, outage):
     assert lost[(t > start) & (t < end)].all()
     assert np.abs(result.run.v[np.argmax(t >= 1.29)]).max() < 0.5
     assert result.converged  # and it goes on
-
-
-def test_the_point_that_is_said_to_be_lost_is():
-    lost = {"lost": (0.0, 0.5), "lost_part": 1, "delay": 0.0}
-    scenario = camera(task={"points": 3}, sensor=lost, believed=NEARLY)
-    built, dt = build_scenario(scenario), scenario.loop.dt
-    run = aj.simulate(built.plant, built.controller, built.target, built.q0, 4 * dt, dt=dt)
-    seen = np.isfinite(run.x_measured.reshape(-1, 3, 2))
-    assert_array_equal(seen.all(axis=(0, 2)), [False, True, True])
-    assert not seen[:, 0].any()
 
 
 def test_the_believed_camera_differs_as_the_scenario_says():
@@ -245,7 +235,6 @@ AWAY = {"position": (-1.0, 0.0, 1.5), "looking_at": (-2.0, 0.0, 1.5)}
          "task.depth must be believed or constant with a differentiator"),
         ("panda", {"controller": {"kp": 1, "kv": 1, "damping": 1, "settling_time": 2.0}},
          "controller.settling_time is for default gains, got 2.0 with given ones"),
-        ("panda", {"sensor": {"lost": (2.0, 3.0), "lost_part": 2}}, "sensor.lost_part must be one"),
         ("panda", {"sensor": {"frozen": (2.0, 1.0)}}, "sensor.frozen must be the start and the en"),
         ("panda", {"sensor": {"rate": 2000.0}}, "sensor.rate must be at most that of control, "),
         ("panda", {"task": {"spread": 0.1}}, "task.spread is for several points, got 0.1 with on"),

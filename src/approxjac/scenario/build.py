@@ -126,7 +126,7 @@ def build_scenario(
             draw = partial(starts.straight_ahead, sensor, q0, draw, floor)
         target = _target(sensor, q0, scenario, draw)
     kinematics = _kinematics(scenario, task) if chosen.unknown else None
-    law = controller = _law(scenario, task, truth, q0, kinematics)
+    law = controller = _law(scenario, task, truth, kinematics)
     if limits is not None and chosen.command == "torque":
         controller = controllers.TorqueLimited(law, limits, dt=sampling_time(scenario))
     if kinematics is not None and chosen.law != "tracking":
@@ -229,15 +229,12 @@ def sensing_of(given: Sensor) -> Sensing | None:
         return None
     of_x = {f"x_{name}": getattr(given, name) for name in ("noise", "quantum", "delay", "dropout")}
     of_q = {name: getattr(given, name) for name in ("q_noise", "q_quantum", "velocity_filter")}
-    part = () if given.lost_part is None else (given.lost_part - 1,)
-    lost: Any = () if given.lost is None else ((*given.lost, *part),)
+    lost = () if given.lost is None else (given.lost,)
     frozen = () if given.frozen is None else (given.frozen,)
     return Sensing(**of_x, **of_q, x_rate=given.rate, x_lost=lost, x_frozen=frozen)
 
 
-def _law(
-    scenario: Scenario, task: Task, truth: Robot, q0: Array, kinematics: Kinematics | None
-) -> Controller:
+def _law(scenario: Scenario, task: Task, truth: Robot, kinematics: Kinematics | None) -> Controller:
     chosen, latency = scenario.controller, latency_of(scenario)
     constant = chosen.differentiator
     drives = None if scenario.true.drives == "usual" else Drives()  # nobody knows the usual ones
@@ -258,11 +255,7 @@ def _law(
                 detours=bool(chosen.detours),
             ),
         )
-    posture: controllers.Posture | controllers.AwayFromStops | None = None
-    if chosen.posture_stiffness:
-        posture = controllers.Posture(q0, chosen.posture_stiffness)
-    elif limits_of(scenario, task.robot) is not None and task.robot.nv > task.m:
-        posture = controllers.AwayFromStops()
+    is_redundant = limits_of(scenario, task.robot) is not None and task.robot.nv > task.m
     gains: controllers.Gains | None = None
     rule: dict[str, Any] = {"settling_time": chosen.settling_time, "drives": drives}
     given = {"kp": chosen.kp, "kv": chosen.kv, "damping": chosen.damping}
@@ -275,7 +268,7 @@ def _law(
         gravity=_gravity(truth, task.robot, chosen.gravity, chosen.integral_action),
         saturation=None if chosen.gamma is None else Sine(chosen.gamma),
         velocity=None if constant is None else controllers.DifferentiatedVelocity(constant),
-        posture=posture,
+        posture=controllers.AwayFromStops() if is_redundant else None,
         latency=latency,
         friction=_friction(scenario),
         **rule,
@@ -289,7 +282,7 @@ def recommended(scenario: Scenario) -> Scenario:
     joints, where positions or poses are measured.
     """
     chosen = scenario.controller
-    own = "limits", "torque_rate", "detours", "self_motion"
+    own = "limits", "detours", "self_motion"
     kept = {name: getattr(chosen, name) for name in own}
     usual = replace(type(chosen)(), **kept)
     learns = scenario.task.kind in ("position", "pose") and scenario.true.tracker == Tracker()
@@ -382,5 +375,4 @@ def limits_of(scenario: Scenario, belief: Robot) -> Limits | None:
         turns_on = belief.usual_range[1] < belief.position_limits[1]
         if turns_on.all() and not np.isfinite(belief.velocity_limits).any():
             return None
-    limits = Limits.of(belief, share if isinstance(share, float) else 1.0)
-    return replace(limits, rate=scenario.controller.torque_rate).for_joints(belief.nv)
+    return Limits.of(belief, share if isinstance(share, float) else 1.0).for_joints(belief.nv)

@@ -66,7 +66,7 @@ def prepare(scenario: Scenario) -> Study:
     if gravity == "exact":  # eq. (9): what is compensated exactly is not felt
         arm, gravity = arm.with_gravity((0.0, 0.0, 0.0)), "none"
     # a report is of whatever target; limits come around the law that is built
-    choice = replace(choice, gravity=gravity, limits="none", torque_rate=None)
+    choice = replace(choice, gravity=gravity, limits="none")
     built = build.build_scenario(replace(scenario, controller=choice), arm)
     truth = _truth(arm, built, analysis)
     law = cast(SetpointController, built.law)  # tracking is refused

@@ -188,7 +188,6 @@ class Sensor:
         delay: Age of x when it arrives, s.
         dropout: Probability that a frame of x is lost, 0 to 1.
         lost: Start and end of the time in which x is lost, such as 2 3, s.
-        lost_part: Part of x that is lost then, such as a point of an image; 1 is the first.
         frozen: Start and end of the time in which the sensor repeats one x, s.
         q_noise: Standard deviation of noise on the encoders, rad or m.
         q_quantum: Steps of the encoders, rad or m.
@@ -201,7 +200,6 @@ class Sensor:
     delay: float = at_least(0.0)
     dropout: float = at_least(0.0)
     lost: Interval | None = None
-    lost_part: int | None = at_least(None, 1)
     frozen: Interval | None = None
     q_noise: float = at_least(0.0)
     q_quantum: float = at_least(0.0)
@@ -230,14 +228,12 @@ class ControllerChoice:
         damping: Added joint damping, one number or one per joint; by the rule of default gains.
         gamma: Saturation of the error by γ sin(e/γ), in the unit of the task; by default the tanh
             of the rule, or none with gains that are given.
-        posture_stiffness: Stiffness that draws the self-motion to the start, N m/rad; 0 is none.
         detours: Leave dead ends by a motion of the joints to another configuration that reaches the
             target; by the law tracking, for positions. By default if a simulation chooses the law.
         self_motion: "teach" moves a redundant arm besides the task, so that learnt kinematics are
             known elsewhere; by the law tracking.
         limits: Limits to keep: those of the "urdf"; a multiple of its effort limits, then the
             motors' too; or "none", as in continuous control.
-        torque_rate: Largest change of a torque within limits, N m/s; any by default.
         unseen: Largest motion for which the last x is held, m, rad or px; none by default.
     """
 
@@ -252,11 +248,9 @@ class ControllerChoice:
     kv: Numbers | None = positive(None)
     damping: Numbers | None = at_least(None)
     gamma: float | None = positive(None)
-    posture_stiffness: float = at_least(0.0)
     detours: bool | None = None
     self_motion: Literal["teach"] | None = None
     limits: float | Literal["urdf", "none"] = positive("urdf")
-    torque_rate: float | None = positive(None)
     unseen: float | None = positive(None)
 
 

@@ -11,7 +11,7 @@ from approxjac.scenario.convert import typed_as
 from approxjac.scenario.records import Tracker
 from approxjac.scenario.scenario import Scenario
 
-_OF_SETPOINT = ["settling_time", "kp", "kv", "damping", "gamma", "posture_stiffness"]
+_OF_SETPOINT = ["settling_time", "kp", "kv", "damping", "gamma"]
 _OF_SETPOINT += ["differentiator", "integral_action"]
 Rule = tuple[str, bool, str, str]
 """A key that may do nothing, whether it does here, its use, and what there is in its place."""
@@ -64,7 +64,6 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
     tracks, learns = control.law == "tracking", bool(control.unknown)
     velocities = control.command == "velocity"
     gains = None not in (control.kp, control.kv, control.damping)
-    limits = 'needs controller.limits, "urdf" or a share of the URDF\'s such as 0.5'
     tracked = task.kind in ("position", "pose")
     yield from [
         ("true.floor", true.engine != "mujoco", "needs true.engine mujoco", true.engine),
@@ -78,19 +77,16 @@ def _rules(scenario: Scenario) -> Iterator[Rule]:
         ("believed.camera", not image, "is for task.kind image", task.kind),
         ("true.camera.looking_at", in_hand, "is for a camera in the world", "one in hand"),
         ("controller.settling_time", gains, "is for default gains", "given ones"),
-        ("controller.torque_rate", control.limits == "none", limits, "none"),
-        ("sensor.lost_part", scenario.sensor.lost is None, "needs a time in sensor.lost", "none"),
         ("true.drives", velocities, "is for a robot that takes torques", control.command),
         ("true.servo", not velocities, "needs controller.command velocity", control.command),
         ("controller.command", not tracks, "needs controller.law tracking", "setpoint"),
-        ("controller.torque_rate", velocities, "is of torques", control.command),
         ("controller.detours", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.self_motion", not tracks, "needs controller.law tracking", "setpoint"),
         ("controller.unseen", learns, "is of no use where x is predicted", "controller.unknown"),
     ]
     for name in _OF_SETPOINT:
         yield f"controller.{name}", tracks, "is of the law setpoint", "tracking"
-    sampled = [f"controller.{k}" for k in ("unknown", "torque_rate", "unseen", *["law"] * tracks)]
+    sampled = [f"controller.{k}" for k in ("unknown", "unseen", *["law"] * tracks)]
     sampled += ["sensor", "loop.actuator_delay", "true.drives"]
     if control.limits != "none":
         sampled.append("controller.limits")
@@ -118,9 +114,6 @@ def _faults(scenario: Scenario) -> Iterator[tuple[Any, str]]:
     if sensor.delay >= run.duration:
         shorter = f"shorter than the run, {run.duration:g} [s]"
         yield wrong("sensor.delay", shorter, f"{sensor.delay:g}")
-    parts = max(task.points, len(task.frames))
-    if (sensor.lost_part or 1) > parts:
-        yield wrong("sensor.lost_part", f"one of the parts of x, 1 to {parts}")
     for name, interval in (("lost", sensor.lost), ("frozen", sensor.frozen)):
         if interval is not None and not max(0.0, interval[0]) < min(run.duration, interval[1]):
             within = f"the start and the end of a time within the run, 0 to {run.duration:g} [s]"
