@@ -1943,8 +1943,7 @@ MUTANTS = [
     ),
     (
         "pushed in one direction", "realtime/watches.py",
-        "led, pushed = np.abs(self._way), np.abs(self._push - self._held_by)",
-        "led, pushed = np.abs(self._way), self._push - self._held_by", WATCHES,
+        "(np.abs(self._gone) > self._q_noise)", "(self._gone > self._q_noise)", WATCHES,
     ),
     (
         "led in one direction", "realtime/watches.py",
