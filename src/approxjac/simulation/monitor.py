@@ -49,6 +49,7 @@ _ONE_FITS = 0.1  # of χ², by which one number may explain less than three
 _TURNED_BACK, _SOON_SURE = 0.15, 6.0  # of a share of 2, as of a reversed motor; χ² enough then
 _LONE, _BESIDE = 0.05, 0.2  # share of χ² that one joint's motion may leave; of what others leave
 _MOST_LACKS, _LEAST_JOINTS = 3.0, 5  # of its torque, behind a rotor; joints that tell one from all
+_COARSE = 0.3  # of the jump of q̇ at a step of an encoder: its standard deviation
 _STEPS = 3.0  # of an encoder, by which a joint has moved otherwise than before
 _ONSET, _BETTER = 0.02, 12.0  # s, in which no motor is at fault if a load or force explains more χ²
 _CLEAR = 0.06  # share that a motor may leave to be clear, where a force leaves five times that
@@ -67,7 +68,7 @@ _OVER = 1.5  # periods without a turn, after which it is over
 _SLOW = 0.5  # s, over which the speed is averaged about which a joint swings
 _SWINGS = 0.01  # rad/s or m/s, at least
 _VISIBLE, _VISIBLE_LED, _TOOL = 1e-4, 2e-3, 0.1  # m, of motion, while led, of a tool so long
-_NOISY, _FRAME = 0.5, 0.1  # of the noise of x: what that may cause; its share in the noise
+_NOISY, _FRAME = 0.5, 0.1  # of the noise of x: what that may cause; a sample's share in an average
 _NO_PLACE = 1e9  # m, rad or px
 _SHAKES, _SHAKEN = 0.1, 0.1  # of the largest torque, on the average over s: else by torques
 _LAGS = 0.5  # of what torques shake by, which shows in q̇ at another time than was thought
@@ -146,7 +147,7 @@ class Monitor:
         # the last looks, as long as each is nearly too far off; how joints moved before, and by how
         # much they moved otherwise since; the smallest step of their encoders
         self._lately: list[_Tick] = []
-        self._coasts, self._swept, self._step, self._q = np.zeros((4, robot.nv))
+        self._coasts, self._swept, self._step, self._jump, self._q = np.zeros((5, robot.nv))
         self._samples: deque[tuple[float, Array, Array, Array]] = deque(maxlen=_SAMPLES)
         self._since, self._quiet, self._speed = math.nan, 0.0, np.zeros(3)
         self._is_outside = False  # what happened to the arm, as its onset tells
@@ -196,6 +197,10 @@ class Monitor:
             self._swept = self._swept + way - h * self._coasts
             self._step = np.where(way == 0.0, self._step, np.minimum(self._step, np.abs(way)))
             self._q = q
+            # how q̇ jumps as its encoder makes one step
+            steps = (way != 0.0) & (np.abs(way) < 1.5 * self._step)
+            jump = self._jump + _FRAME * (np.abs(v - self._v) - self._jump)
+            self._jump = np.where(steps, jump, self._jump)
             odd = v - 2.0 * self._v + self._v_before
             odd = np.minimum(odd * odd / 6.0, 9.0 * self._noise + 1e-6)
             self._noise = self._noise + min(5.0 * h, 1.0) * (odd - self._noise)
@@ -442,7 +447,7 @@ class Monitor:
         own = np.ones(n), slides, v, rate * gains, slides * carried
         H = np.hstack([load, *(-np.diag(each) for each in own)])
         rubs = np.hstack([np.zeros((n, 4 + n)), np.eye(n), np.zeros((n, 2 * n)), np.diag(carried)])
-        variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._noise
+        variance = (_MODEL * self._scale) ** 2 + rate**2 * self._M**2 @ self._of_v
         variance += _INERTIA**2 * self._M**2 @ (rate * gains) ** 2
         variance += (_TURNED * float(np.linalg.norm(speeds[3:]))) ** 2 * (J[3:] ** 2).sum(axis=0)
         variance += (_LAGS * self._shakes) ** 2
@@ -450,6 +455,11 @@ class Monitor:
         stuck = _STICKS * (1.0 - np.abs(slides)) * np.sqrt(friction)
         at_stop = self._robot.beyond_limits(q[None])[0] > -_STOP
         return H, np.where(at_stop, variance + self._scale**2, variance), stuck, J[:3], load
+
+    @property
+    def _of_v(self) -> Array:
+        """Variance of q̇, by noise and by the steps of encoders, (n_v,)."""
+        return np.asarray(self._noise + (_COARSE * self._jump) ** 2)
 
     def _name(self, t: float) -> None:
         """Name the cause that explains the last looks, if one does."""
@@ -557,7 +567,7 @@ class Monitor:
         given = steps @ np.array([each[3] for each in samples[1:]]) / h
         gained = (self._M @ v - self._dynamics.M(q0) @ v0) / h - given
         off = gained - 0.5 * (self._rest(q, v) + self._rest(q0, v0)) - H @ self._estimate
-        variance = variance + 2.0 / h**2 * self._M**2 @ self._noise
+        variance = variance + 2.0 / h**2 * self._M**2 @ self._of_v
         return _Tick(off, 1.0 / np.sqrt(variance + stuck**2), given, J, load, H, variance, stuck)
 
     def _lacks(self, j: int) -> float:
