@@ -157,6 +157,7 @@ def test_a_certificate_of_no_start_but_the_target_itself_covers_nothing(radius):
     found = aj.Study(law, tools, aj.JointBox.around(arm, Q2, radius)).report(20)
     assert found.passed
     assert found.covers == (found.test.level > 0.0) == (radius > 0.0)
+    assert ("No start away from its target is certified" in str(found)) == (radius == 0.0)
 
 
 @pytest.mark.study

@@ -292,6 +292,8 @@ def _covered_starts(report: StabilityReport, sampled: SampledTest, figures: dict
     figures["certified_error"] = each = sampled.certified_error
     least = {unit: min(each[k] for k in range(len(each)) if units[k] == unit) for unit in units}
     alone = " or ".join(f"{value:.2g} {unit}" for unit, value in least.items())
+    if sampled.level <= 0.0:
+        return "No start away from its target is certified: the region, or a limit, leaves no room."
     return (
         f"The error goes to zero, {_IF_IT_STAYS}, from starts at rest with a coordinate off by up "
         f"to {alone}: {percent(share)} % of the usual starts ({usual:.2g} {joined(units)} from "
