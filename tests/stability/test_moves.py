@@ -1,6 +1,7 @@
 """Certified moves: the runs of adversarial robots stay within the bounds, sampled as they run."""
 
 import functools
+import itertools
 import math
 
 import numpy as np
@@ -159,6 +160,29 @@ def test_whatever_drives_a_joint_off_its_path_is_counted():
         assert (more > usual * (1.0 + 1e-9)).any(), name
 
 
+def test_speed_counts_in_the_norm_of_energy_and_slower_moves_have_smaller_bounds():
+    study, start = study_of("two_link", friction=0.3), np.array(STARTS["two_link"])
+    loop, line = study.loop(), EasedLine(np.array([0.0, -1.0]), 0.15, 0.02)
+    found = MoveSearch(loop, 1e-3, start, np.random.default_rng(0)).certified(line, False)
+    tube, weights, rate = found.tube, found.function.weights, found.function.rate
+    samples, _ = TubeBox(loop, line, start, tube).samples(
+        np.random.default_rng(1).uniform(-1.0, 1.0, (100, 6))
+    )
+    hold, friction = Hold.of(study.timing), loop.plants[0].friction
+    bounds = []
+    for share in (1.0, 0.3, 0.1, 0.01):
+        slower = line._replace(peak=share * line.peak)
+        form = MovingForm(samples, loop.setting, friction, hold, slower, tube.nu)
+        form = form.changed(decay=(rate, 0.5))
+        bounds.append(form.bounds(weights, tube, largest(form.weighed(weights))))
+    for faster, slower in itertools.pairwise(bounds):
+        assert faster.holds(slower)
+    r = form.motion.r
+    assert form.sizes()["r"] == pytest.approx(
+        np.sqrt(np.einsum("ni,nij,nj->n", r, samples.M, r)), rel=1e-9
+    )
+
+
 def test_paths_and_errors_of_a_tube_are_those_asked_for():
     study = study_of("ur5")
     loop, line = study.loop(), EasedLine(np.array([0.0, 0.6, 0.8]), 0.15, 0.1)
@@ -178,6 +202,21 @@ def test_paths_and_errors_of_a_tube_are_those_asked_for():
     end = other.terms(truths, STARTS["ur5"] + path[-1, :, :6])
     begin = other.terms(truths, np.array([STARTS["ur5"]]))
     assert np.linalg.norm(end.x - begin.x - line.length * line.d) < 2e-5
+
+
+def test_joints_between_the_path_and_the_tube_count_in_how_the_path_turns():
+    study = study_of("z1")
+    start, line = np.array(STARTS["z1"]), EasedLine(np.array([0.0, 0.0, 1.0]), 0.12, 0.05)
+    search = MoveSearch(study.loop(), 1e-3, start, np.random.default_rng(0))
+    box = TubeBox(study.loop(), line, start, Tube(np.full(6, 0.1), 0.005, 0.2))
+    z = box.starts(50, np.random.default_rng(1))
+    path, halfway, whole = (box.samples(z, part)[0] for part in (0.0, 0.5, 1.0))
+    assert halfway.q == pytest.approx(0.5 * (path.q + whole.q))
+    form = search._form(box, z)
+    several = form.elsewhere(box.samples(z[::5], 0.5)[0])
+    for name in ("dh", "along"):
+        assert (form.most[name] >= largest(several.sizes())[name]).all()
+        assert (form.most[name] >= largest(form.sizes())[name]).all()
 
 
 def test_a_tube_holds_another_only_if_all_of_it_is_inside():

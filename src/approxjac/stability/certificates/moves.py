@@ -29,6 +29,7 @@ from approxjac.validation import Array
 
 _EPSILON = 0.1  # of (a + ψ)² ≤ (1 + ε)a² + (1 + 1/ε)ψ²
 _INSTANTS = 300  # of the integrals
+_PEAKS = (1.0, 0.6, 0.3, 0.1, 0.01)  # of slower moves, as shares
 _PARTS = 64  # of the length, at which the growth along it is looked at
 _TERMS, _LOOKED = 12, 50  # of e^A for a part; errors at which s(e) is looked at
 
@@ -186,7 +187,7 @@ class MovingForm(SampledForm):
         quadratic = np.moveaxis(own.dT @ at.M[:, None], 1, 2) + _first(own.T, coriolis)
         rubbed, still = theta * self._friction, own.T * B_c
         sizes = {
-            "r": _length(root_M @ on.r[..., None])[..., 0],
+            "r": _length(np.linalg.cholesky(at.M).mT @ on.r[..., None])[..., 0],  # |r|_M
             "turning": _norm(root @ on.turning @ root.mT),
             "stiffness": _norm(root @ at.J_hat.mT * kp),
             "gravity of r": _length(root @ at.dg @ on.r[..., None])[..., 0],
@@ -279,8 +280,9 @@ class MovingForm(SampledForm):
         def faded(rate: float, of: Array) -> Array:
             """∫ e^(−rate (t − t')) of a function, from above."""
             total, factor = np.zeros(len(of)), math.exp(-rate * dt)
+            step = (1.0 - factor) / rate if rate else dt
             for k in range(1, len(of)):
-                total[k] = factor * total[k - 1] + dt * max(of[k - 1], of[k])
+                total[k] = factor * total[k - 1] + step * max(of[k - 1], of[k])
             return total
 
         def whole(of: Array) -> float:
@@ -331,9 +333,20 @@ class MovingForm(SampledForm):
     def bounds(self, weights: Weights, tube: Tube, weighed: dict[str, Any]) -> Tube | None:
         """Return the bounds by the formulas if the constants hold in a tube.
 
+        They are the largest for the peak and for slower ones, as ∫n may be larger for these.
         `weighed` are the largest of `weighed`. None where F or P is not positive.
         """
-        most = self.most | weighed
+        most, found = self.most | weighed, []
+        for share in _PEAKS:
+            line = self.line._replace(peak=share * self.line.peak)
+            each = self.changed(line=line)._bounds_of_peak(weights, tube, most)
+            if each is None:
+                return None
+            found.append(each)
+        R, e, nu = zip(*found, strict=True)
+        return Tube(np.max(R, axis=0), max(e), max(nu))
+
+    def _bounds_of_peak(self, weights: Weights, tube: Tube, most: dict[str, Any]) -> Tube | None:
         on = self.along(weights, tube, most)
         if on is None:
             return None

@@ -42,6 +42,7 @@ _NEWTON = 2  # to a given error
 _SAMPLES, _SOME, _WORST = 600, 200, 100  # of a tube; of these, that functions are chosen on
 _RATES = (0.7, 1.2, 1.7, 2.1, 2.5, 3.0)  # ρ that are tried [1/s]
 _MULTIPLES = (0.7, 1.0)  # of the multiplier that is best for the margin
+_EVERY = 5  # of samples, that are looked at half way from the path, too
 _WIDER = 1.08  # times what the formulas return, that is tried next
 _TUBES, _ROUNDS = 12, 6  # until the answer is inside; searches, until one finds nothing
 _STARTS, _STEPS = 3, 5  # of a search for each group of constants
@@ -154,8 +155,11 @@ class TubeBox:
         self.d, self._n, self._m = loop.corners.shape[1], len(tube.R), len(line.d)
         self.size = self.d + 1 + self._n + self._m
 
-    def samples(self, z: Array) -> tuple[Samples, Indices]:
-        """Return the samples of points (N, k), and which of them they are: robots may not exist."""
+    def samples(self, z: Array, part: float = 1.0) -> tuple[Samples, Indices]:
+        """Return the samples of points (N, k), and which of them they are: robots may not exist.
+
+        Or those on the straight lines to them from the path, after a part of the way.
+        """
         loop, robot, d = self._loop, self._loop.region.robot, self.d
         values = np.zeros((len(z), d))
         if isinstance(loop.truth, Uncertainty) and d:
@@ -171,12 +175,14 @@ class TubeBox:
         e = self.tube.e * z[rows, d + 1 + self._n :]
         e = e / np.maximum(1.0, np.linalg.norm(z[rows, d + 1 + self._n :], axis=1))[:, None]
         x_d = x0[own] + share[:, None] * self.line.length * self.line.d
-        motion = between(path[:, own], share) + self.tube.R * z[rows, d + 1 : d + 1 + self._n]
+        place = between(path[:, own], share)
+        motion = place + self.tube.R * z[rows, d + 1 : d + 1 + self._n]
         B, friction = damping_of(loop.setting), loop.plants[0].friction
         for _ in range(_NEWTON):  # to this error, along the way of slow robots
             at = other.terms(truths[rows], _moved(robot, self._q0, motion), x_d)
             H = moves.path_rate(at.J, at.J_hat, self.line.d, B, friction)[1]
             motion = motion - (H @ (at.e - e)[..., None])[..., 0]
+        motion = place + part * (motion - place)
         return other.samples_at(truths[rows], _moved(robot, self._q0, motion), x_d), rows
 
     def starts(self, n: int, rng: np.random.Generator) -> Array:
@@ -332,16 +338,20 @@ class MoveSearch:
     def _form(self, box: TubeBox, z: Array) -> MovingForm:
         """Return the form at points."""
         try:
-            samples, _ = box.samples(z)
+            samples, halfway = box.samples(z)[0], box.samples(z[::_EVERY], 0.5)[0]
         except InvalidInputError as error:
             raise Refused("as the estimated Jacobian loses rank on the way") from error
-        regular, inside = self._usual(samples)
+        regular, inside = self._usual(samples.join(halfway))
         if not regular.all():
             raise Refused("as some robot may come near a singular pose")
         if not inside.all():
             raise Refused("as bounds of a joint reach its limit")
         loop, tube = self._loop, box.tube
-        return MovingForm(samples, loop.setting, self._friction, self._hold, box.line, tube.nu)
+        form = MovingForm(samples, loop.setting, self._friction, self._hold, box.line, tube.nu)
+        # the lines that ∂h is a mean along leave |e| ≤ ē, if little
+        between = largest(form.elsewhere(halfway).sizes())
+        form.most |= {name: np.maximum(form.most[name], between[name]) for name in ("dh", "along")}
+        return form
 
     def _usual(self, samples: Samples) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return masks: Ĵ and JB⁻¹Ĵᵀ are regular; joints are inside their limits."""
