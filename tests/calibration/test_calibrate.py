@@ -102,6 +102,7 @@ def test_what_is_said_is_what_was_found(true_arm, recorded):
     assert [each.samples for each in found.places] == [60, 60, 60]
 
 
+@pytest.mark.study
 def test_a_bad_row_and_a_bad_place_harm_little(true_arm, recorded):
     recordings, apart = recorded
     usual = elsewhere(true_arm, calibrate(true_arm.believed, recordings, apart=apart).robot)
@@ -298,6 +299,7 @@ def test_a_wrong_distance_is_not_believed(true_arm, recorded, wrong):
     assert "known distances" in found.verdict
 
 
+@pytest.mark.study
 def test_a_wrong_order_of_quaternions_is_not_believed():
     arm = Arm("ur5", 74, 1.0)
     q = [np.array(pin.integrate(arm.believed.model, arm.q0, 0.1 * k * np.cos(np.arange(6.0) * k)))
@@ -422,6 +424,7 @@ def test_real_pandas_are_known_at_places_left_out(panda, name, without, most):
     assert found.held_out < 0.1 * np.mean([each.drawing for each in found.places])
 
 
+@pytest.mark.study
 @needs_recordings
 def test_a_bad_place_of_a_real_panda_harms_no_other(panda):
     recordings, apart = real("panda_2")

@@ -84,6 +84,7 @@ def test_what_torques_cannot_show_is_said(seen, motion):
         Recording(np.zeros((3, 2)), tau=np.zeros((3, 1)))
 
 
+@pytest.mark.study
 def test_learn_writes_the_scenario_with_them(seen, motion, found, tmp_path):
     names = aj.load_robot("z1").joint_names
     paths = [tmp_path / "tip.csv", tmp_path / "free.csv"]

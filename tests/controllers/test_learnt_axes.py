@@ -128,6 +128,7 @@ def test_the_tool_is_as_far_off_as_is_said(seed):
     assert off @ np.linalg.solve(P, off) < 12.8  # 99.5 % of χ² of three
 
 
+@pytest.mark.study
 def test_poses_are_known_elsewhere_too():
     arm = Arm("panda", 21, np.pi / 3)
     kinematics = AdaptiveKinematics(
@@ -222,6 +223,7 @@ def test_what_was_learnt_predicts_as_the_learnt_robot_does():
     assert_allclose(aj.PositionTask(robot).value(q), expected, atol=1e-12)
 
 
+@pytest.mark.study
 def test_compiled_laws_learn_the_same():
     arm, steps = Arm("ur5", 61), 150
     task = aj.PositionTask(arm.believed)

@@ -19,8 +19,8 @@ def simulate(
 
     Example: approxjac simulate panda --object-length 0.2 --believed-length 0 --seed 1
 
-    Exit code 0 if the error ended within the tolerance, or a path was followed; 1 if not. An error
-    that got there in the last tenth of the run only is too late to judge, and no failure.
+    Exit code 0 if the error ended within the tolerance, or a path was followed; 1 if not. Where it
+    fell within the tolerance in the last tenth of the run, it is too late to judge: exit code 0.
 
     Args:
         scenario: The scenario.

@@ -116,8 +116,8 @@ class Truth:
         friction: Viscous friction of every joint, N m s/rad.
         coulomb: Coulomb friction of every joint, N m.
         drives: Joints: "ideal", or the "usual" rotors, elastic gears and friction of geared arms
-            (friction as given, if it is). By default ideal, but usual where a simulation chooses
-            the law.
+            (friction as given, if it is). By default usual in a simulation that names no law and
+            no gains, else ideal.
         camera: Camera of an image task.
         tracker: Tracker with axes of its own, for x and targets; the world's by default.
         servo: Velocity servo of a robot that takes joint velocities.
@@ -218,9 +218,9 @@ class ControllerChoice:
             and "tool" where the points are.
         command: "torque", or "velocity" for robots that take joint velocities (law "tracking").
         differentiator: Time constant of Ẋ from the differentiated x, s: law (5), or law (6).
-        gravity: Gravity that is compensated: learnt (law (28), or with all dynamics, tracking), by
-            default; the true one, the believed one or none; or a learnt residual, for robots that
-            add the believed arm's (Franka, UR).
+        gravity: Gravity that is compensated: learnt, by default (with all dynamics by the law
+            tracking); the true one, the believed one or none; or a learnt residual, for robots
+            that add the believed arm's (Franka, UR).
         integral_action: Learn a task force and joint torques; by default if gravity is learnt.
         settling_time: Time to settle, s; by default as short as arm, motors and latency allow.
         kp: Gain K_p, one number or one per task coordinate; by the rule of default gains.
