@@ -2292,6 +2292,11 @@ MUTANTS = [
         "self._push = command - self._dynamics.g(self._last.q)", "pass", STICTION,
     ),
     (
+        "a joint whose push is explained hides others", "realtime/watches.py",
+        "np.where(unanswered & explained, 0.0, self._gone)",
+        "np.where(unanswered & ~explained, self._gone, 0.0)", STICTION,
+    ),
+    (
         "gravity that a robot adds pushes", "realtime/watches.py",
         "(self._commands_velocity or self._adds_gravity or",
         "(self._commands_velocity or", STICTION,

@@ -73,3 +73,24 @@ def test_what_the_last_step_of_an_encoder_made_of_a_torque_is_no_push():
     assert watched(fades + gravity, accuracy=accuracy) is None
     later = np.outer(3.0 * (np.arange(400) > 100), np.ones(7))
     assert watched(fades + later + gravity, accuracy=accuracy) is Fault.COMMAND_UNANSWERED
+
+
+@pytest.mark.parametrize(("pushed", "fault"), [(0.0, None), (0.42, Fault.COMMAND_UNANSWERED)])
+def test_torque_for_the_motion_of_others_is_answered_and_hides_no_joint_that_is_dead(pushed, fault):
+    """The shoulder swings, and the elbow needs torque to stand meanwhile; a wrist is pushed."""
+    dynamics, omega = aj.robots.Dynamics(aj.load_robot("panda")), 2.0 * np.pi
+    shoulder, wrist = np.eye(7)[1], np.eye(7)[6]
+
+    def q(k):
+        return Q + 0.03 * (1e-3 * omega * k - np.sin(1e-3 * omega * k)) * shoulder
+
+    commands = []
+    for k in range(420):
+        v = 0.03 * omega * (1.0 - np.cos(1e-3 * omega * k)) * shoulder
+        a = 0.03 * omega**2 * np.sin(1e-3 * omega * k) * shoulder
+        inverse = dynamics.inverse(q(k), v, a)
+        commands.append(inverse + pushed * min(4e-3 * k, 1.0) * wrist)
+    coupling = np.abs([each[3] - dynamics.g(q(k))[3] for k, each in enumerate(commands)])
+    accuracy = Accuracy(q=1e-5, stiction=0.2)
+    assert np.ptp(coupling) > 2.0 * 2.0 * 0.2
+    assert watched(commands, q, accuracy=accuracy) is fault

@@ -242,8 +242,9 @@ class FaultWatch:
         if unanswered.any() and not self._commands_velocity and self._last is not None:
             # torque that goes into the motion of others is none of its own
             moving = self._dynamics.M(self._last.q) @ ((v - self._mean_v) / self._mean)
-            unanswered &= np.minimum(np.abs(pushed), np.abs(pushed - moving)) > answered
-            self._gone = np.where(unanswered, self._gone, 0.0)
+            explained = np.minimum(np.abs(pushed), np.abs(pushed - moving)) <= answered
+            self._gone = np.where(unanswered & explained, 0.0, self._gone)
+            unanswered &= ~explained
         if not unanswered.any():
             return None
         j = int(unanswered.argmax())
